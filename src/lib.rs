@@ -1,0 +1,4 @@
+//! Perceptile: spatio-temporal sample tiles for Monte Carlo animation rendering.
+
+pub mod kernel;
+pub mod tile;

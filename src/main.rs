@@ -1,0 +1,2 @@
+//! The command `perceptile`.
+fn main() {}
