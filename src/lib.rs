@@ -1,4 +1,6 @@
 //! Perceptile: spatio-temporal sample tiles for Monte Carlo animation rendering.
 
+pub mod draw;
+pub mod gradient;
 pub mod kernel;
 pub mod tile;
