@@ -3,4 +3,5 @@
 pub mod draw;
 pub mod gradient;
 pub mod kernel;
+pub mod solver;
 pub mod tile;

@@ -117,6 +117,11 @@ impl Partition {
         Self { shape, reach, columns, rows, parts }
     }
 
+    /// The same cells and owners with halos for another reach.
+    pub fn with_reach(&self, reach: Reach) -> Self {
+        Self { reach, ..self.clone() }
+    }
+
     /// Width and height of a cell, in pixels, that the cut aims at: a block of 30 frames with
     /// its integer gradient then fits a second-level cache of 256 KB.
     pub const CELL: usize = 16;
