@@ -3,5 +3,6 @@
 pub mod draw;
 pub mod gradient;
 pub mod kernel;
+pub mod metric;
 pub mod solver;
 pub mod tile;
