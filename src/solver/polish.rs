@@ -33,6 +33,9 @@ pub struct PolishOptions {
     pub steps: u32,
     /// Weight of the energy of single coordinates against that of pairs, at least 0.
     pub axis_weight: f64,
+    /// Weight of the squared mean of single coordinates (−½|xᵢ − xⱼ|² in place of the distance),
+    /// at least 0.
+    pub linear_weight: f64,
     /// How Adam moves the samples.
     pub adam: AdamOptions,
 }
@@ -163,6 +166,7 @@ impl Polish {
             .collect();
         let (simd, pairs, density) = (self.simd, &self.pairs, &self.density);
         let (own, total, axis) = (self.own, self.total, self.options.axis_weight as f32);
+        let linear = self.options.linear_weight as f32;
         jobs.into_par_iter().with_max_len(1).for_each(|(cell, samples, pulls)| {
             let (cell, block) = (blocks.partition().cell(cell), blocks.partition().block(cell));
             let planes = planes(samples, shape.spp() * shape.dims());
@@ -187,6 +191,7 @@ impl Polish {
                     words: &words,
                     own,
                     axis,
+                    linear,
                     total,
                     density,
                 };
@@ -219,6 +224,7 @@ struct Frame<'a> {
     words: &'a [(i32, f32)],
     own: f32,
     axis: f32,
+    linear: f32,
     total: f32,
     density: &'a Density,
 }
@@ -274,7 +280,7 @@ impl Frame<'_> {
         for other in 0..self.spp {
             if other != s {
                 let (u, v) = (load(other, a, place), load(other, b, place));
-                push(&mut pull, x, y, u, v, self.own, self.axis, a != b);
+                push(&mut pull, x, y, u, v, self.own, self.axis, self.linear, a != b);
             }
             let (us, vs) =
                 (&self.planes[other * self.dims + a], &self.planes[other * self.dims + b]);
@@ -282,7 +288,7 @@ impl Frame<'_> {
                 let from = (place as i32 + word) as usize;
                 let u: [f32; LANES] = us[from..from + LANES].try_into().expect("that length");
                 let v: [f32; LANES] = vs[from..from + LANES].try_into().expect("that length");
-                push(&mut pull, x, y, u, v, weight, self.axis, a != b);
+                push(&mut pull, x, y, u, v, weight, self.axis, self.linear, a != b);
             }
         }
         for lane in 0..LANES {
@@ -291,8 +297,9 @@ impl Frame<'_> {
             } else {
                 self.density.gradient(x[lane], y[lane])
             };
-            pull[0][lane] -= self.total * (gx + self.axis * (2.0 * x[lane] - 1.0));
-            pull[1][lane] -= self.total * (gy + self.axis * (2.0 * y[lane] - 1.0));
+            let away = self.axis + 0.5 * self.linear;
+            pull[0][lane] -= self.total * (gx + away * (2.0 * x[lane] - 1.0));
+            pull[1][lane] -= self.total * (gy + away * (2.0 * y[lane] - 1.0));
         }
         pull
     }
@@ -309,13 +316,14 @@ fn push(
     v: [f32; LANES],
     weight: f32,
     axis: f32,
+    linear: f32,
     planar: bool,
 ) {
     let aligned = weight * axis;
     for lane in 0..LANES {
         let dx = x[lane] - u[lane];
         let dy = if planar { y[lane] - v[lane] } else { 0.0 };
-        let by = weight * inverse_root(dx * dx + dy * dy);
+        let by = weight * (inverse_root(dx * dx + dy * dy) + linear);
         pull[0][lane] += by * dx + aligned * sign(dx);
         pull[1][lane] += by * dy + aligned * sign(dy);
     }
