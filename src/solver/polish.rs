@@ -145,6 +145,13 @@ impl Polish {
         self.state.commit();
     }
 
+    /// Goes on from other samples, with the moments as they are.
+    pub fn replace(&mut self, samples: &CellSamples) {
+        self.state.replace(&self.blocks, samples);
+        let samples = &mut self.state.current_mut().samples;
+        self.blocks.copy_to_halos(self.world, samples, &mut self.mailbox);
+    }
+
     /// The samples as of the last step.
     pub fn samples(&self) -> CellSamples {
         self.state.samples(&self.blocks)

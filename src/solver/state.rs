@@ -67,6 +67,21 @@ pub(crate) struct Half {
     pub second: Vec<f32>,
 }
 
+impl Half {
+    /// Copies samples in cell order into the blocks.
+    fn fill(&mut self, blocks: &Blocks, samples: &CellSamples) {
+        let mut rest = &samples.words[..];
+        for (i, block) in split(&mut self.samples, blocks.block_words()).into_iter().enumerate() {
+            let (cell, tail) = rest.split_at(blocks.cell_words()[i]);
+            for row in blocks.rows(blocks.first() + i) {
+                block[row.block..row.block + row.len]
+                    .copy_from_slice(&cell[row.cell..row.cell + row.len]);
+            }
+            rest = tail;
+        }
+    }
+}
+
 /// Samples and moments of a rank, each twice.
 #[derive(Debug, Clone)]
 pub(crate) struct State {
@@ -83,16 +98,13 @@ impl State {
             first: vec![0.0; words],
             second: vec![0.0; words],
         };
-        let mut rest = &samples.words[..];
-        for (i, block) in split(&mut half.samples, blocks.block_words()).into_iter().enumerate() {
-            let (cell, tail) = rest.split_at(blocks.cell_words()[i]);
-            for row in blocks.rows(blocks.first() + i) {
-                block[row.block..row.block + row.len]
-                    .copy_from_slice(&cell[row.cell..row.cell + row.len]);
-            }
-            rest = tail;
-        }
+        half.fill(blocks, samples);
         Self { halves: [half.clone(), half], current: 0 }
+    }
+
+    /// Replaces the samples that hold, and keeps the moments; halos are yet to be filled.
+    pub fn replace(&mut self, blocks: &Blocks, samples: &CellSamples) {
+        self.current_mut().fill(blocks, samples);
     }
 
     /// The half that holds.

@@ -65,6 +65,13 @@ impl Descent {
         (commit, objective)
     }
 
+    /// Goes on from other samples, with the moments as they are.
+    pub fn replace(&mut self, samples: &CellSamples) {
+        self.state.replace(&self.blocks, samples);
+        let samples = &mut self.state.current_mut().samples;
+        self.blocks.copy_to_halos(self.world, samples, &mut self.mailbox.1);
+    }
+
     /// The samples as of the last step that holds.
     pub fn samples(&self) -> CellSamples {
         self.state.samples(&self.blocks)
