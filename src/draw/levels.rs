@@ -47,14 +47,13 @@ impl LevelSets {
         let mut sets = Vec::new();
         let mut cumulative = 0.0;
         for (weight, kernel) in classes {
-            let halves = [1.0, -1.0]
-                .map(|sign| kernel.taps().iter().filter(move |tap| tap.weight * sign > 0.0));
-            let peaks = halves.clone().map(|mut half| half.next().map_or(0.0, |t| t.weight.abs()));
-            for (half, peak) in halves.into_iter().zip(peaks).filter(|half| half.1 > 0.0) {
-                cumulative += weight / total * peak / (peaks[0] + peaks[1]);
+            let halves = kernel.sign_classes();
+            let range: f64 = halves.iter().map(|half| half.peak).sum();
+            for half in halves {
+                cumulative += weight / total * half.peak / range;
                 sets.push(LevelSet {
-                    offsets: half.clone().map(|tap| tap.offset).collect(),
-                    levels: half.map(|tap| tap.weight.abs() / peak).collect(),
+                    offsets: half.taps.iter().map(|tap| tap.offset).collect(),
+                    levels: half.taps.iter().map(|tap| tap.weight / half.peak).collect(),
                     cumulative,
                 });
             }

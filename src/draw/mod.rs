@@ -11,10 +11,12 @@ pub use direction::{Density, Direction, DirectionSet};
 pub use levels::{LevelSet, LevelSets};
 pub use philox::{Stream, Use, philox};
 
+use serde::{Deserialize, Serialize};
+
 use crate::tile::{Cell, Partition};
 
 /// How draws are made.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct DrawOptions {
     /// Draws of a step, in all cells together; at least 1.
     pub draws: usize,
