@@ -1,4 +1,4 @@
-//! The `.npy` format: tiles out, our own and foreign tiles in, and plain tables of numbers.
+//! The `.npy` format: tiles out, our own and foreign tiles in.
 //!
 //! The layout (magic, version, header length, a Python dictionary literal padded to 64 bytes,
 //! then the raw elements) is that of NumPy's NEP 1. The header is parsed here and not by a
@@ -123,15 +123,6 @@ pub enum NpyError {
     },
 }
 
-/// A table of numbers of any shape.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Array {
-    /// Size along each axis, slowest first; empty for a single number.
-    pub shape: Vec<usize>,
-    /// The values in C order, as they stand in the file: any number, NaN included.
-    pub values: Vec<f64>,
-}
-
 /// Writes a tile as little-endian `f32` of shape `(frames, height, width, spp, dims)`, C order.
 ///
 /// The bytes depend on the tile alone.
@@ -182,7 +173,11 @@ pub fn write_tile(tile: &Tile, out: &mut (impl Write + ?Sized)) -> io::Result<()
 pub fn read_tile(mut input: impl Read, bytes: u64, spp: Option<usize>) -> Result<Tile, NpyError> {
     let header = Header::read(&mut input, bytes)?;
     let shape = header.tile_shape(spp)?;
-    let mut samples: Vec<f32> = zeros(header.count)?;
+    let mut samples = Vec::new();
+    samples
+        .try_reserve_exact(header.count)
+        .map_err(|_| NpyError::Memory { values: header.count })?;
+    samples.resize(header.count, 0.0_f32);
     header.read_values(input, |place, value| {
         samples[place] = header
             .element
@@ -191,31 +186,6 @@ pub fn read_tile(mut input: impl Read, bytes: u64, spp: Option<usize>) -> Result
         Ok(())
     })?;
     Ok(Tile::new(shape, samples).expect("every coordinate was brought into [0, 1)"))
-}
-
-/// Reads a table of numbers, with no rule about shape or values.
-///
-/// `input` is the whole file of `bytes` bytes; elements as for [`read_tile`], but integers stand
-/// for themselves.
-///
-/// # Errors
-/// Any [`NpyError`] that is not about tiles.
-pub fn read_array(mut input: impl Read, bytes: u64) -> Result<Array, NpyError> {
-    let header = Header::read(&mut input, bytes)?;
-    let mut values = zeros(header.count)?;
-    header.read_values(input, |place, value| {
-        values[place] = value;
-        Ok(())
-    })?;
-    Ok(Array { shape: header.shape, values })
-}
-
-/// `count` zeros, or an error where the machine has no room for them.
-fn zeros<T: Default + Clone>(count: usize) -> Result<Vec<T>, NpyError> {
-    let mut values = Vec::new();
-    values.try_reserve_exact(count).map_err(|_| NpyError::Memory { values: count })?;
-    values.resize(count, T::default());
-    Ok(values)
 }
 
 /// What an element is, without its byte order.
@@ -588,5 +558,216 @@ impl Literal<'_> {
             None => "missing".to_owned(),
         };
         NpyError::Header { at: self.at, expected, found }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::tile::BELOW_ONE;
+
+    /// A file of this header text and these elements.
+    fn file(header: &str, data: &[u8]) -> Vec<u8> {
+        let mut bytes = MAGIC.to_vec();
+        bytes.extend([1, 0]);
+        bytes.extend((header.len() as u16).to_le_bytes());
+        bytes.extend(header.as_bytes());
+        bytes.extend(data);
+        bytes
+    }
+
+    fn array(descr: &str, shape: &str, data: &[u8]) -> Vec<u8> {
+        let header =
+            format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': {shape}, }}\n");
+        file(&header, data)
+    }
+
+    fn read(bytes: &[u8]) -> Result<Tile, NpyError> {
+        read_tile(bytes, bytes.len() as u64, None)
+    }
+
+    fn floats(values: &[f64]) -> Vec<u8> {
+        let data: Vec<u8> = values.iter().flat_map(|x| x.to_le_bytes()).collect();
+        array("<f8", &format!("(1, 1, {})", values.len()), &data)
+    }
+
+    /// Written by NumPy 2.4: `np.arange(12).reshape(1, 2, 3, 2) * 5000` in Fortran order.
+    const BIG_ENDIAN_FORTRAN: &[u8] =
+        b"\x93NUMPY\x01\x00v\x00{'descr': '>u2', 'fortran_order': True, 'shape': (1, 2, 3, 2), }\
+          \x20                                                    \n\
+          \x00\x00u0'\x10\x9c@N \xc3P\x13\x88\x88\xb8:\x98\xaf\xc8a\xa8\xd6\xd8";
+
+    /// Written by NumPy 2.4 as version 2.0: `np.arange(4).reshape(1, 2, 2) / 4`.
+    const SECOND_VERSION: &[u8] = b"\x93NUMPY\x02\x00t\x00\x00\x00\
+          {'descr': '<f8', 'fortran_order': False, 'shape': (1, 2, 2), }\
+          \x20                                                    \n\
+          \x00\x00\x00\x00\x00\x00\x00\x00\x00\x00\x00\x00\x00\x00\xd0?\
+          \x00\x00\x00\x00\x00\x00\xe0?\x00\x00\x00\x00\x00\x00\xe8?";
+
+    #[test]
+    fn files_of_numpy_are_read() {
+        let tile = read(BIG_ENDIAN_FORTRAN).unwrap();
+        assert_eq!(tile.shape(), TileShape::new(3, 2, 1, 1, 2).unwrap());
+        let expected: Vec<f32> =
+            (0..12).map(|i| ((f64::from(i) * 5000.0 + 0.5) / 65536.0) as f32).collect();
+        assert_eq!(tile.samples(), expected);
+        let tile = read(SECOND_VERSION).unwrap();
+        assert_eq!(tile.shape(), TileShape::new(2, 2, 1, 1, 1).unwrap());
+        assert_eq!(tile.samples(), [0.0, 0.25, 0.5, 0.75]);
+    }
+
+    #[test]
+    fn every_length_but_the_right_one_is_an_error() {
+        for whole in [BIG_ENDIAN_FORTRAN, SECOND_VERSION] {
+            for length in 0..whole.len() {
+                assert!(read(&whole[..length]).is_err(), "{length}");
+            }
+            let longer = [whole, b"x"].concat();
+            assert!(matches!(read(&longer), Err(NpyError::Length { .. })));
+            // A file that shrinks while it is read.
+            let short = &whole[..whole.len() - 1];
+            let result = read_tile(short, whole.len() as u64, None);
+            assert!(matches!(result, Err(NpyError::Io(_))));
+        }
+    }
+
+    #[test]
+    fn halves_are_those_of_the_standard() {
+        for (bits, value) in [
+            (0x0000, 0.0),
+            (0x0001, 1.0 / 16_777_216.0),
+            (0x03ff, 1023.0 / 16_777_216.0),
+            (0x0400, 1.0 / 16384.0),
+            (0x3555, 1365.0 / 4096.0),
+            (0x3800, 0.5),
+            (0x3bff, 2047.0 / 2048.0),
+            (0x3c00, 1.0),
+            (0x7bff, 65504.0),
+            (0x7c00, f64::INFINITY),
+            (0xfc00, f64::NEG_INFINITY),
+            (0xc000, -2.0),
+        ] {
+            assert_eq!(half(bits), value, "{bits:#x}");
+        }
+        assert!(half(0x7c01).is_nan());
+        let tile = read(&array(">f2", "(1, 1, 2)", &[0x38, 0x00, 0x3c, 0x00])).unwrap();
+        assert_eq!(tile.samples(), [0.5, BELOW_ONE]);
+    }
+
+    #[test]
+    fn coordinates_are_checked_and_brought_into_range() {
+        let tile = read(&floats(&[0.0, -0.0, 0.1, 1.0 - 1e-12, 1.0])).unwrap();
+        let bits: Vec<u32> = tile.samples().iter().map(|x| x.to_bits()).collect();
+        assert_eq!(bits, [0.0, 0.0, 0.1, BELOW_ONE, BELOW_ONE].map(f32::to_bits));
+        for bad in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1.0 + 1e-15, -1e-300, 255.0] {
+            match read(&floats(&[0.5, 0.5, bad])).unwrap_err() {
+                NpyError::Coordinate { index, value } => {
+                    assert_eq!(index, [0, 0, 2]);
+                    assert_eq!(value.to_bits(), bad.to_bits());
+                }
+                other => panic!("{other}"),
+            }
+        }
+        let fortran = "{'descr': '<f4', 'fortran_order': True, 'shape': (1, 2, 3), }";
+        let data: Vec<u8> =
+            [0.0, 0.0, 0.0, 7.0, 0.0, 0.0_f32].iter().flat_map(|x| x.to_le_bytes()).collect();
+        let error = read(&file(fortran, &data)).unwrap_err();
+        assert_eq!(
+            error.to_string(),
+            "the value at [0, 1, 1] is 7, but every coordinate must be in [0, 1)"
+        );
+    }
+
+    #[test]
+    fn samples_per_pixel_split_the_last_axis_of_four() {
+        let bytes = array("|u1", "(1, 1, 1, 6)", &[0, 1, 2, 3, 4, 5]);
+        let spp = |bytes: &[u8], spp| read_tile(bytes, bytes.len() as u64, Some(spp));
+        let tile = spp(&bytes, 2).unwrap();
+        assert_eq!(tile.shape(), TileShape::new(1, 1, 1, 2, 3).unwrap());
+        assert_eq!(tile.point(0, 0, 0, 1), [3.5 / 256.0, 4.5 / 256.0, 5.5 / 256.0]);
+        assert!(matches!(spp(&bytes, 4), Err(NpyError::Spp { spp: 4, .. })));
+        assert!(matches!(spp(&bytes, 0), Err(NpyError::Spp { spp: 0, .. })));
+        let three = array("|u1", "(1, 1, 2)", &[0, 1]);
+        assert!(spp(&three, 1).is_ok() && spp(&three, 2).is_err());
+        let five = array("|u1", "(1, 1, 1, 2, 1)", &[0, 1]);
+        assert!(spp(&five, 2).is_ok() && spp(&five, 1).is_err());
+    }
+
+    #[test]
+    fn lies_and_nonsense_have_their_messages() {
+        let message = |bytes: &[u8]| read(bytes).unwrap_err().to_string();
+        let with = |header: &str| message(&file(header, &[0; 8]));
+        let shape = |shape: &str| message(&array("|u1", shape, &[0; 8]));
+        for (message, part) in [
+            (message(b""), "NUMPY"),
+            (message(b"PK\x03\x04 a zip file"), "NUMPY"),
+            (message(b"\x93NUMPY\x04\x00"), "version 4.0"),
+            (message(b"\x93NUMPY\x02\x00\xff\xff\xff\xff"), "4294967295"),
+            (message(b"\x93NUMPY\x02\x00\x00\x01\x00\x00"), "ends inside"),
+            (with(""), "`{` must"),
+            (with("{"), "a key in quotes"),
+            (with(&"(".repeat(60_000)), "`{` must"),
+            (with(&"{'shape': ".repeat(6_000)), "byte 10"),
+            (with("{'descr': [('x', '<f4')]}"), "an element type"),
+            (with("{'descr': '<f4"), "a string that ends"),
+            (with("{'descr' '<f4'}"), "`:` must"),
+            (with("{'fortran_order': 1}"), "`True` or `False`"),
+            (with("{'shape': (1, 2)}"), "lacks the key \"descr\""),
+            (with("{'shape': (1,), 'shape': (1,)}"), "twice the key \"shape\""),
+            (with("{'name': 'x'}"), "unknown key \"name\""),
+            (with("{'shape': (2, 4) 'descr'"), "`,` or `}`"),
+            (with("{}x"), "only blanks"),
+            (shape("(-1, 8)"), "`-`"),
+            (shape("(1.5, 8)"), "`.`"),
+            (shape("(1 8)"), "`,` or `)`"),
+            (shape("(99999999999999999999, 8)"), "a size"),
+            (shape("(2, 2, 3)"), "needs 12 bytes of data, but the file has 8"),
+            (shape("(4294967296, 4294967296, 4294967296)"), "memory can address"),
+            (shape("(0, 18446744073709551615, 3)"), "needs 0 bytes"),
+            (shape("(8,)"), "1 axes"),
+            (shape("(1, 1, 1, 1, 2, 4)"), "6 axes"),
+        ] {
+            assert!(message.contains(part), "{message:?} lacks {part:?}");
+        }
+    }
+
+    #[test]
+    fn only_types_of_coordinates_are_read() {
+        for descr in ["<i4", "<u4", "|b1", "<c8", "=f4", "|u2", "<f16", "<U1", "O", "", "é4"] {
+            let error = read(&array(descr, "(1, 1, 1)", &[0; 4])).unwrap_err();
+            assert!(matches!(error, NpyError::Element { .. }), "{descr}: {error}");
+        }
+    }
+
+    #[test]
+    fn sizes_that_are_no_tile_are_refused() {
+        let empty = array("<f4", "(0, 4, 4)", &[]);
+        assert!(matches!(read(&empty), Err(NpyError::Shape(ShapeError::Zero { .. }))));
+        let many = array("|u1", "(1, 1, 1, 17)", &[0; 17]);
+        assert!(matches!(read(&many), Err(NpyError::Shape(ShapeError::Limit { .. }))));
+    }
+
+    proptest! {
+        #[test]
+        fn places_are_visited_as_the_strides_say(
+            shape in proptest::collection::vec(1_usize..5, 0..6),
+        ) {
+            let count: usize = shape.iter().product();
+            let mut c = Places::new(&shape, false);
+            prop_assert!((0..count).all(|place| c.next() == place));
+            let mut fortran = Places::new(&shape, true);
+            for position in 0..count {
+                // The index with the first axis fastest, then its place with the last fastest.
+                let mut left = position;
+                let place = shape.iter().fold(0, |place, &size| {
+                    let index = left % size;
+                    left /= size;
+                    place * size + index
+                });
+                prop_assert_eq!(fortran.next(), place);
+            }
+        }
     }
 }

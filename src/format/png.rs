@@ -326,3 +326,122 @@ pub fn encode(raster: &Raster, out: &mut (impl Write + ?Sized)) -> std::io::Resu
     writer.finish()?;
     Ok(())
 }
+
+#[cfg(test)]
+mod tests {
+    use std::io::Cursor;
+
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::tile::BELOW_ONE;
+
+    fn read(bytes: &[u8]) -> Result<Raster, PngError> {
+        decode(Cursor::new(bytes), bytes.len() as u64)
+    }
+
+    #[test]
+    fn levels_are_bins_of_the_unit_interval() {
+        for depth in [Depth::Eight, Depth::Sixteen] {
+            let last = (depth.levels() - 1) as u16;
+            assert_eq!(depth.quantize(0.0), 0);
+            assert_eq!(depth.quantize(BELOW_ONE), last);
+            for level in 0..=last {
+                assert_eq!(depth.quantize(depth.coordinate(level)), level);
+                let low = f64::from(level) / f64::from(depth.levels());
+                assert_eq!(depth.quantize(low as f32), level);
+                let high = f64::from(level) + 1.0;
+                let below = ((high / f64::from(depth.levels())) as f32).next_down();
+                assert_eq!(depth.quantize(below), level);
+                let middle = (f64::from(level) + 0.5) / f64::from(depth.levels());
+                assert_eq!(f64::from(depth.coordinate(level)), middle);
+            }
+        }
+    }
+
+    #[test]
+    fn channels_are_letters() {
+        let channels: Channels = "bra".parse().unwrap();
+        assert_eq!(channels.as_slice(), [Channel::Blue, Channel::Red, Channel::Alpha]);
+        assert_eq!(channels.to_string(), "bra");
+        assert_eq!("".parse::<Channels>(), Err(ChannelsError::None));
+        assert_eq!("rx".parse::<Channels>(), Err(ChannelsError::Unknown('x', "rx".into())));
+        assert_eq!("rgr".parse::<Channels>(), Err(ChannelsError::Twice('r', "rgr".into())));
+    }
+
+    /// Pixels of one picture as the library's own encoder writes them, with other settings.
+    fn foreign(color: ColorType, depth: BitDepth, data: &[u8], width: u32) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        let mut encoder = codec::Encoder::new(&mut bytes, width, 1);
+        encoder.set_color(color);
+        encoder.set_depth(depth);
+        if color == ColorType::Indexed {
+            encoder.set_palette(vec![1, 2, 3, 40, 50, 60]);
+        }
+        encoder.write_header().unwrap().write_image_data(data).unwrap();
+        bytes
+    }
+
+    #[test]
+    fn palettes_and_few_bits_are_expanded() {
+        let palette = read(&foreign(ColorType::Indexed, BitDepth::One, &[0b0100_0000], 2)).unwrap();
+        assert_eq!((palette.layout, palette.depth), (Layout::Rgb, Depth::Eight));
+        assert_eq!(palette.levels, [1, 2, 3, 40, 50, 60]);
+        let gray = read(&foreign(ColorType::Grayscale, BitDepth::Four, &[0x3f], 2)).unwrap();
+        assert_eq!(gray.levels, [0x33, 0xff]);
+    }
+
+    #[test]
+    fn a_claim_beyond_the_file_is_refused_before_memory_is_taken() {
+        let mut bytes = foreign(ColorType::Rgba, BitDepth::Sixteen, &[0; 8], 1);
+        let mut claim = |width: u32, height: u32| {
+            bytes[16..20].copy_from_slice(&width.to_be_bytes());
+            bytes[20..24].copy_from_slice(&height.to_be_bytes());
+            let crc = crc(&bytes[12..29]);
+            bytes[29..33].copy_from_slice(&crc.to_be_bytes());
+            read(&bytes)
+        };
+        assert!(claim(1, 1).is_ok());
+        assert!(matches!(claim(1 << 14, 1 << 12), Err(PngError::Claim { .. })));
+        assert!(matches!(claim(1 << 14, (1 << 12) + 1), Err(PngError::Pixels { .. })));
+        assert!(matches!(claim(i32::MAX as u32, i32::MAX as u32), Err(PngError::Pixels { .. })));
+        assert!(claim(0, 1).is_err() && claim(1, 0).is_err() && claim(u32::MAX, 1).is_err());
+        assert!(claim(2, 1).is_err());
+    }
+
+    /// CRC-32 of a chunk, bit by bit.
+    fn crc(bytes: &[u8]) -> u32 {
+        !bytes.iter().fold(u32::MAX, |crc, &byte| {
+            (0..8).fold(crc ^ u32::from(byte), |crc, _| {
+                (crc >> 1) ^ (0xedb8_8320 & (crc & 1).wrapping_neg())
+            })
+        })
+    }
+
+    fn rasters() -> impl Strategy<Value = Raster> {
+        let layouts = prop_oneof![
+            Just(Layout::Gray),
+            Just(Layout::GrayAlpha),
+            Just(Layout::Rgb),
+            Just(Layout::Rgba)
+        ];
+        let depths = prop_oneof![Just(Depth::Eight), Just(Depth::Sixteen)];
+        (1_usize..9, 1_usize..9, layouts, depths).prop_flat_map(|(width, height, layout, depth)| {
+            let level = 0..=(depth.levels() - 1) as u16;
+            proptest::collection::vec(level, width * height * layout.channels())
+                .prop_map(move |levels| Raster { width, height, layout, depth, levels })
+        })
+    }
+
+    proptest! {
+        #[test]
+        fn pixels_come_back_as_they_were_written(raster in rasters()) {
+            let mut bytes = Vec::new();
+            encode(&raster, &mut bytes).unwrap();
+            prop_assert_eq!(&read(&bytes).unwrap(), &raster);
+            for length in 0..bytes.len() {
+                prop_assert!(read(&bytes[..length]).is_err(), "{} bytes", length);
+            }
+        }
+    }
+}

@@ -309,6 +309,14 @@ mod tests {
         assert!(at("new").is_dir());
     }
 
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn a_folder_that_takes_no_files_is_found_out_beforehand() {
+        // Nobody, not even root, makes files there.
+        let error = probe(["/proc/tile.npy"], Existing::Keep).unwrap_err();
+        assert!(matches!(error, WriteError::Io { .. }), "{error}");
+    }
+
     #[test]
     fn a_set_of_outputs_is_checked_as_one() {
         let folder = tempfile::tempdir().unwrap();
