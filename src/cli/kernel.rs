@@ -6,7 +6,7 @@ use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
-use perceptile::kernel::{Kernel, KernelClass, KernelSpec, Tap, picture};
+use perceptile::kernel::{Kernel, KernelClass, KernelSpec, ResolveProblem, Tap, picture};
 use perceptile::tile::TileShape;
 use serde::Serialize;
 
@@ -59,7 +59,11 @@ pub struct KernelArgs {
 pub fn run(args: KernelArgs) -> Result<(), anyhow::Error> {
     let kernel = match args.tile {
         Some(shape) => args.spec.resolve(shape)?,
-        None => args.spec.resolve_without_tile().context("without --tile")?,
+        None => args.spec.resolve_without_tile().map_err(|error| {
+            let needs_tile = error.problem == ResolveProblem::NeedsTile;
+            let error = anyhow::Error::new(error);
+            if needs_tile { error.context("give --tile WxHxF") } else { error }
+        })?,
     };
     let text = if args.json {
         let report = Report { kernel: args.spec.to_string(), classes: describe(&kernel) };

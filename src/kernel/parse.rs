@@ -158,8 +158,8 @@ impl<'a> Parser<'a> {
                 }
             }
             let names: Vec<&str> = FACTORS.iter().map(|known| known.name).collect();
-            let known = format!("there are {}, column and frame", names.join(", "));
-            return Err((at, SpecProblem::Name { name: word.to_owned(), known }));
+            let known = format!("{}, column and frame", names.join(", "));
+            return Err((at, SpecProblem::Name { name: shortened(word), known }));
         };
         let mut arguments = if self.eat('(') { self.arguments()? } else { Vec::new() };
         let places: Vec<(Option<&str>, usize)> =
@@ -391,12 +391,17 @@ impl<'a> Parser<'a> {
         let at = self.skip_blanks();
         let found = match (self.peek(), self.word()) {
             (None, _) => "the end".to_owned(),
-            (_, Some(word)) => format!("`{}`", word.chars().take(40).collect::<String>()),
+            (_, Some(word)) => format!("`{}`", shortened(word)),
             (Some(c), None) => format!("`{}`", c.escape_debug()),
         };
         self.at = at;
         (at, SpecProblem::Unexpected { expected, found })
     }
+}
+
+/// As much of a word as a message needs.
+fn shortened(word: &str) -> String {
+    word.chars().take(40).collect()
 }
 
 /// Takes the first argument of that name.

@@ -260,7 +260,7 @@ fn spectrum(response: &Response) -> Picture {
     let mut panel = Picture::new(response.columns * cell, response.rows * cell);
     let peak = response.magnitude.iter().fold(f64::MIN_POSITIVE, |peak, &m| peak.max(m));
     for (k, &magnitude) in response.magnitude.iter().enumerate() {
-        let level = 1.0 + 20.0 * (magnitude / peak).log10() / RANGE;
+        let level = 1.0 + 20.0 * libm::log10(magnitude / peak) / RANGE;
         let place = level.clamp(0.0, 1.0) * (COLOURS.len() - 1) as f64;
         let lower = (place as usize).min(COLOURS.len() - 2);
         let colour = blend(COLOURS[lower], COLOURS[lower + 1], place - lower as f64);

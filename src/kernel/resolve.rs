@@ -319,22 +319,21 @@ impl Product {
         let frames =
             (low.with_x(i32::MIN).with_y(i32::MIN), high.with_x(i32::MAX).with_y(i32::MAX));
         let pixels = (low.with_z(i32::MIN), high.with_z(i32::MAX));
-        let share = |grid: &Grid, (low, high)| {
-            let kept = grid.clip(low, high).mass();
-            (kept, grid.mass())
+        let kept = |grid: &Grid, (low, high)| {
+            let all = grid.mass();
+            if all > 0.0 { grid.clip(low, high).mass() / all } else { 0.0 }
         };
-        let ratio = |(kept, all): (f64, f64)| if all > 0.0 { kept / all } else { 0.0 };
         if let Some(full) = full {
             let dropped = Dropped {
-                total: 1.0 - ratio(share(&full, (low, high))),
-                space: Some(1.0 - ratio(share(&full, pixels))),
-                time: Some(1.0 - ratio(share(&full, frames))),
+                total: 1.0 - kept(&full, (low, high)),
+                space: Some(1.0 - kept(&full, pixels)),
+                time: Some(1.0 - kept(&full, frames)),
             };
             return Ok((full.clip(low, high).taps().collect(), dropped));
         }
         // A product of rows is cut before it is multiplied out, which may be far larger.
-        let space = ratio(share(&self.x, pixels)) * ratio(share(&self.y, pixels));
-        let time = ratio(share(&self.time, frames));
+        let space = kept(&self.x, pixels) * kept(&self.y, pixels);
+        let time = kept(&self.time, frames);
         let dropped =
             Dropped { total: 1.0 - space * time, space: Some(1.0 - space), time: Some(1.0 - time) };
         for row in [&mut self.x, &mut self.y, &mut self.time] {

@@ -159,7 +159,7 @@ pub enum SpecProblem {
         found: String,
     },
     /// No factor or class has this name.
-    #[error("there is no kernel named `{name}`, but {known}")]
+    #[error("there is no kernel named `{name}`; known are {known}")]
     Name {
         /// The name.
         name: String,
