@@ -1,6 +1,6 @@
 //! The memory of a rank: the blocks of its cells in one slice, and how their halos are filled.
 
-use perceptile_cluster::{Combine, Endpoint, Message, Plan, PlanError, Segment, World};
+use perceptile_cluster::{Combine, Endpoint, Message, Plan, Segment, World};
 
 use crate::tile::{Block, Cell, Partition};
 
@@ -20,10 +20,7 @@ pub struct Blocks {
 
 impl Blocks {
     /// The blocks of this rank of `world`.
-    ///
-    /// # Errors
-    /// None that a partition can cause; the plan is checked nevertheless.
-    pub fn new(partition: Partition, world: World) -> Result<Self, PlanError> {
+    pub fn new(partition: Partition, world: World) -> Self {
         let owned = partition.owned(world.rank());
         let shape = partition.shape();
         let pixel = shape.spp() * shape.dims();
@@ -55,14 +52,12 @@ impl Blocks {
             outwards.push(Message { source: owner, target: cell, segments: segments(false) });
             inwards.push(Message { source: cell, target: owner, segments: segments(true) });
         }
-        Ok(Self {
-            first: owned.start,
-            outwards: Plan::new(world.rank(), block_words.clone(), outwards)?,
-            inwards: Plan::new(world.rank(), block_words.clone(), inwards)?,
-            block_words,
-            cell_words,
-            partition,
-        })
+        let plan = |messages| {
+            Plan::new(world.rank(), block_words.clone(), messages)
+                .expect("halos lie in the blocks of their cells")
+        };
+        let (outwards, inwards) = (plan(outwards), plan(inwards));
+        Self { first: owned.start, outwards, inwards, block_words, cell_words, partition }
     }
 
     /// The cells and their halos.

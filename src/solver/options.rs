@@ -35,8 +35,8 @@ pub struct Options {
     pub start: Start,
     /// Steps of stochastic gradient descent.
     pub steps: u32,
-    /// Steps after which to stop on the way, at most `steps`; the schedule stays that of `steps`.
-    pub stop_after: u32,
+    /// Steps after which to stop, counted over descent and polish; schedules stay as they are.
+    pub stop_after: Option<u32>,
     /// How the draws of a step are made.
     pub draw: DrawOptions,
     /// How Adam moves the samples.
@@ -133,7 +133,7 @@ impl Preset {
             seed: 1,
             start: Start::Random,
             steps,
-            stop_after: steps,
+            stop_after: None,
             draw: DrawOptions {
                 draws: 4096,
                 directions: 1,
@@ -184,9 +184,6 @@ impl Options {
         let DrawOptions { draws, directions, threshold_range, axis_share, pair_share } = self.draw;
         check("draws", draws as f64, "in 1..=2^30", |x| (1.0..=f64::from(1 << 30)).contains(&x))?;
         check("directions", directions as f64, "in 1..=16", |x| (1.0..=16.0).contains(&x))?;
-        check("stop-after", self.stop_after.into(), "at most the number of steps", |x| {
-            x <= f64::from(self.steps)
-        })?;
         check("threshold-range", threshold_range, positive, |x| x > 0.0 && x <= 1.0)?;
         for (name, value) in [("axis-share", axis_share), ("pair-share", pair_share)] {
             check(name, value, share, |x| (0.0..=1.0).contains(&x))?;

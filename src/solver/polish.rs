@@ -14,7 +14,7 @@
 //! execution can change it.
 
 use glam::IVec3;
-use perceptile_cluster::{PlanError, World};
+use perceptile_cluster::World;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -52,7 +52,7 @@ struct Pair {
 
 /// Σ over classes of weight · autocorrelation, each scaled to 1 at offset 0, with offsets in time
 /// taken modulo the tile's frames; sorted by place.
-fn autocorrelation(classes: &[(f64, KernelTaps)], frames: usize) -> Vec<(IVec3, f64)> {
+fn autocorrelation(classes: &[(f64, &KernelTaps)], frames: usize) -> Vec<(IVec3, f64)> {
     let mut sums = std::collections::BTreeMap::<(i32, i32, i32), f64>::new();
     for (weight, kernel) in classes {
         let square: f64 = kernel.taps().iter().map(|tap| tap.weight * tap.weight).sum();
@@ -86,17 +86,14 @@ pub struct Polish {
 
 impl Polish {
     /// Prepares the descent from `samples` for a mixture of kernels with weights.
-    ///
-    /// # Errors
-    /// If the exchange of halos cannot be planned.
     pub fn new(
         world: World,
         partition: &Partition,
-        classes: &[(f64, KernelTaps)],
+        classes: &[(f64, &KernelTaps)],
         options: PolishOptions,
         simd: Simd,
         samples: &CellSamples,
-    ) -> Result<Self, PlanError> {
+    ) -> Self {
         let shape = partition.shape();
         let all = autocorrelation(classes, shape.frames());
         let far = |of: fn(&IVec3) -> i32| {
@@ -115,11 +112,11 @@ impl Polish {
             .filter(|(o, g)| *o != IVec3::ZERO && *g != 0.0)
             .map(|(offset, g)| Pair { offset, weight: g as f32 })
             .collect();
-        let blocks = Blocks::new(partition.with_reach(reach), world)?;
+        let blocks = Blocks::new(partition.with_reach(reach), world);
         let mut state = State::new(&blocks, samples);
         let mut mailbox = Vec::new();
         blocks.copy_to_halos(world, &mut state.current_mut().samples, &mut mailbox);
-        Ok(Self {
+        Self {
             world,
             options,
             simd,
@@ -131,7 +128,7 @@ impl Polish {
             pulls: vec![0.0; blocks.cell_words().iter().sum()],
             blocks,
             mailbox,
-        })
+        }
     }
 
     /// Does step number `step`.

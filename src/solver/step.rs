@@ -2,12 +2,12 @@
 //! patches → exchange (add) → Adam into the other half → exchange (copy) → commit.
 
 use crossbeam::queue::SegQueue;
-use perceptile_cluster::{Commit, PlanError, World};
+use perceptile_cluster::{Commit, World};
 use rayon::prelude::*;
 
 use crate::gradient::simd::Simd;
 use crate::gradient::{CellObjective, Gradient, Patch, Workspace};
-use crate::solver::adam::{AdamOptions, Pull, Update};
+use crate::solver::adam::{AdamOptions, Factors, Pull, Update};
 use crate::solver::blocks::{Blocks, split};
 use crate::solver::state::{CellSamples, State};
 
@@ -27,9 +27,6 @@ pub struct Descent {
 
 impl Descent {
     /// Prepares `steps` steps from `samples`.
-    ///
-    /// # Errors
-    /// If the exchange of halos cannot be planned.
     pub fn new(
         world: World,
         gradient: Gradient,
@@ -37,19 +34,19 @@ impl Descent {
         steps: u32,
         simd: Simd,
         samples: &CellSamples,
-    ) -> Result<Self, PlanError> {
-        let blocks = Blocks::new(gradient.partition().clone(), world)?;
+    ) -> Self {
+        let blocks = Blocks::new(gradient.partition().clone(), world);
         let mut state = State::new(&blocks, samples);
         let mut mailbox = (Vec::new(), Vec::new());
         blocks.copy_to_halos(world, &mut state.current_mut().samples, &mut mailbox.1);
         let patches = vec![0; blocks.block_words().iter().sum()];
         let workspaces = SegQueue::new();
-        Ok(Self { world, gradient, adam, steps, simd, blocks, state, patches, mailbox, workspaces })
+        Self { world, gradient, adam, steps, simd, blocks, state, patches, mailbox, workspaces }
     }
 
     /// Does step number `step`. Returns what holds for all ranks, and the objective that the
     /// draws of this rank found, before the step moved the samples.
-    pub fn step(&mut self, step: u32, stop: bool) -> (Commit, CellObjective) {
+    pub fn step(&mut self, step: u32) -> (Commit, CellObjective) {
         let objective = self.pull(step);
         self.blocks.add_from_halos(self.world, &mut self.patches, &mut self.mailbox.0);
         let unit = self.gradient.quantum().unit();
@@ -58,7 +55,7 @@ impl Descent {
         update(blocks, &mut self.state, &self.patches, blocks.block_words(), factors, self.simd);
         let (_, new) = self.state.old_and_new();
         self.blocks.copy_to_halos(self.world, &mut new.samples, &mut self.mailbox.1);
-        let commit = self.world.commit(stop);
+        let commit = self.world.commit(false);
         if commit != Commit::Redo {
             self.state.commit();
         }
@@ -118,7 +115,7 @@ pub(crate) fn update<P: Pull + Sync>(
     state: &mut State,
     pulls: &[P],
     sizes: &[usize],
-    factors: crate::solver::adam::Factors,
+    factors: Factors,
     simd: Simd,
 ) {
     let in_blocks = sizes == blocks.block_words();

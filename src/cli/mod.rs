@@ -1,0 +1,70 @@
+//! The command line: arguments as typed, then as planned, then run.
+//!
+//! Everything that is printed is printed here; the library never sees a flag.
+
+mod evaluate;
+mod export;
+mod kernel;
+mod optimize;
+mod settings;
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+use perceptile::format::write::WriteError;
+use perceptile::kernel::KernelError;
+use perceptile::run::memory::MemoryError;
+use perceptile::solver::OptionsError;
+
+/// Precompute spatio-temporal sample tiles for Monte Carlo animation rendering.
+///
+/// Exit codes: 0 done; 1 a file could not be read or written; 2 a wrong argument, option or
+/// setting; 3 an output exists (see --force); 4 the run does not fit into memory; 130 or 143
+/// stopped by Ctrl-C or SIGTERM, with the result so far written.
+#[derive(Debug, Parser)]
+#[command(name = "perceptile", version, arg_required_else_help = true)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    Optimize(Box<optimize::OptimizeArgs>),
+    Evaluate(evaluate::EvaluateArgs),
+    Kernel(kernel::KernelArgs),
+    Export(export::ExportArgs),
+}
+
+/// Something is wrong with what was asked for, rather than with the machine.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+struct Misuse(String);
+
+/// Runs the command that the process was started with.
+pub fn main() -> ExitCode {
+    let result = match Arguments::parse().command {
+        Command::Optimize(args) => optimize::run(*args),
+        Command::Evaluate(args) => evaluate::run(args).map(|()| ExitCode::SUCCESS),
+        Command::Kernel(args) => kernel::run(args).map(|()| ExitCode::SUCCESS),
+        Command::Export(args) => export::run(args).map(|()| ExitCode::SUCCESS),
+    };
+    result.unwrap_or_else(|error| {
+        eprintln!("error: {error:#}");
+        ExitCode::from(exit_code(&error))
+    })
+}
+
+/// The exit codes of failures, in one place.
+fn exit_code(error: &anyhow::Error) -> u8 {
+    if matches!(error.downcast_ref(), Some(WriteError::Exists { .. })) {
+        3
+    } else if error.is::<MemoryError>() {
+        4
+    } else if error.is::<Misuse>() || error.is::<OptionsError>() || error.is::<KernelError>() {
+        2
+    } else {
+        1
+    }
+}

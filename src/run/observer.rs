@@ -1,0 +1,37 @@
+//! How a run is watched, and how it is told to stop.
+
+use crate::solver::{Phase, StopReason};
+
+/// Where a run stands.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Progress {
+    /// Part of the run.
+    pub phase: Phase,
+    /// Steps of that part that are done.
+    pub done: u32,
+    /// Steps of that part in all.
+    pub of: u32,
+    /// Mean W₂² of the draws of the last steps, as far as there are any.
+    pub objective: Option<f64>,
+}
+
+/// Someone who watches a run and may end it. Called between steps, never by two threads at once.
+pub trait Observer {
+    /// Is told where the run stands.
+    fn progress(&mut self, progress: Progress);
+
+    /// Whether the run should end now: it then does the uniformity step and returns its tile.
+    fn stop(&self) -> Option<StopReason>;
+}
+
+/// Watches nothing and never stops.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Unobserved;
+
+impl Observer for Unobserved {
+    fn progress(&mut self, _: Progress) {}
+
+    fn stop(&self) -> Option<StopReason> {
+        None
+    }
+}
