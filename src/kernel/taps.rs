@@ -81,4 +81,182 @@ impl KernelTaps {
             (low.min(tap.offset), high.max(tap.offset))
         })
     }
+
+    /// Pixels across, pixels down and frames of the smallest box around all offsets.
+    pub fn size(&self) -> [u64; 3] {
+        let (low, high) = self.bounds();
+        (high.as_i64vec3() - low.as_i64vec3()).to_array().map(|n| n.unsigned_abs() + 1)
+    }
+
+    /// How far the offsets reach from the pixel that is filtered, in each direction.
+    pub fn reach(&self) -> Reach {
+        let (low, high) = self.bounds();
+        let far = |n: i32| n.max(0).unsigned_abs();
+        Reach {
+            left: far(low.x.saturating_neg()),
+            right: far(high.x),
+            up: far(low.y.saturating_neg()),
+            down: far(high.y),
+            past: far(low.z.saturating_neg()),
+            future: far(high.z),
+        }
+    }
+
+    /// Σg: how much of a constant error passes; 1 where no weight is negative.
+    pub fn sum(&self) -> f64 {
+        self.taps.iter().map(|tap| tap.weight).sum()
+    }
+
+    /// Σ|g|: 1, up to rounding.
+    pub fn magnitude(&self) -> f64 {
+        self.taps.iter().map(|tap| tap.weight.abs()).sum()
+    }
+
+    /// Σg²: the variance of white noise of variance 1 behind the filter.
+    pub fn power(&self) -> f64 {
+        self.taps.iter().map(|tap| tap.weight * tap.weight).sum()
+    }
+
+    /// (Σ|g|)²/Σg²: the number of taps of equal magnitude that pass as much white noise.
+    pub fn effective_taps(&self) -> f64 {
+        self.magnitude() * self.magnitude() / self.power()
+    }
+
+    /// Mean number of taps in the subset of a draw: a threshold uniform over the range of both
+    /// signs together leaves Σ|g| / (max g⁺ + max g⁻) of them.
+    pub fn mean_subset(&self) -> f64 {
+        let range: f64 = self.sign_classes().iter().map(|class| class.peak).sum();
+        self.magnitude() / range
+    }
+
+    /// The positive part g⁺ and the negative part g⁻, each if it has any taps.
+    pub fn sign_classes(&self) -> Vec<SignClass> {
+        let part = |negative: bool| {
+            let taps: Vec<Tap> = self
+                .taps
+                .iter()
+                .filter(|tap| (tap.weight < 0.0) == negative)
+                .map(|tap| Tap { weight: tap.weight.abs(), ..*tap })
+                .collect();
+            let peak = taps.first()?.weight;
+            Some(SignClass { negative, taps, peak })
+        };
+        [part(false), part(true)].into_iter().flatten().collect()
+    }
+}
+
+/// How far a kernel reaches from the pixel that is filtered, in pixels and frames; 0 where it
+/// does not go that way at all.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Reach {
+    /// Towards negative dx.
+    pub left: u32,
+    /// Towards positive dx.
+    pub right: u32,
+    /// Towards negative dy.
+    pub up: u32,
+    /// Towards positive dy.
+    pub down: u32,
+    /// Towards negative dt.
+    pub past: u32,
+    /// Towards positive dt.
+    pub future: u32,
+}
+
+/// The taps of one sign: a draw takes a sign class with probability proportional to its `peak`
+/// and a threshold uniform in (0, `peak`); its subset is the prefix of larger weights (Eq. 7).
+#[derive(Debug, Clone, PartialEq)]
+pub struct SignClass {
+    /// Whether these taps are negative in the kernel.
+    pub negative: bool,
+    /// The taps by falling weight, with their magnitude |g| as weight, so all positive.
+    pub taps: Vec<Tap>,
+    /// The largest weight, that of the first tap.
+    pub peak: f64,
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn taps(weights: &[(i32, i32, i32, f64)]) -> KernelTaps {
+        let tap = |&(x, y, t, weight)| Tap { offset: IVec3::new(x, y, t), weight };
+        KernelTaps::new(weights.iter().map(tap)).unwrap()
+    }
+
+    #[test]
+    fn sums_and_sizes_are_those_of_the_taps() {
+        let kernel = taps(&[(0, 0, -1, 3.0), (2, -1, -4, -4.0), (0, 0, 0, 1.0)]);
+        let weights: Vec<f64> = kernel.taps().iter().map(|tap| tap.weight).collect();
+        assert_eq!(weights, [-0.5, 0.375, 0.125]);
+        assert_eq!(kernel.sum(), 0.0);
+        assert_eq!(kernel.magnitude(), 1.0);
+        assert_eq!(kernel.power(), 0.25 + 0.140625 + 0.015625);
+        assert_eq!(kernel.effective_taps(), 1.0 / kernel.power());
+        assert_eq!(kernel.mean_subset(), 1.0 / 0.875);
+        assert_eq!(kernel.size(), [3, 2, 5]);
+        let reach = Reach { left: 0, right: 2, up: 1, down: 0, past: 4, future: 0 };
+        assert_eq!(kernel.reach(), reach);
+        // A kernel that leaves out the pixel itself still reaches from it.
+        let reach = taps(&[(3, 0, 1, 1.0)]).reach();
+        assert_eq!((reach.left, reach.right, reach.past, reach.future), (0, 3, 0, 1));
+        assert_eq!(taps(&[(i32::MIN, 0, 0, 1.0), (i32::MAX, 0, 0, 1.0)]).size(), [1 << 32, 1, 1]);
+    }
+
+    #[test]
+    fn equal_taps_are_all_effective() {
+        let flat: Vec<_> = (0..50).map(|x| (x, 0, 0, 7.0)).collect();
+        assert!((taps(&flat).effective_taps() - 50.0).abs() < 1e-12);
+        assert!((taps(&flat).mean_subset() - 50.0).abs() < 1e-12);
+        assert_eq!(taps(&flat).sign_classes().len(), 1);
+    }
+
+    proptest! {
+        /// g⁺ − g⁻ is g again, and each is sorted with its peak first.
+        #[test]
+        fn the_signs_together_are_the_kernel(weights in prop::collection::vec(-1.0..1.0, 1..30)) {
+            let listed: Vec<_> =
+                weights.iter().enumerate().map(|(x, &w)| (x as i32, 0, 0, w)).collect();
+            prop_assume!(weights.iter().any(|&w| w != 0.0));
+            let kernel = taps(&listed);
+            let mut together = Vec::new();
+            for class in kernel.sign_classes() {
+                prop_assert_eq!(class.peak, class.taps[0].weight);
+                prop_assert!(class.taps.is_sorted_by(|a, b| a.weight >= b.weight));
+                prop_assert!(class.taps.iter().all(|tap| tap.weight > 0.0));
+                let sign = if class.negative { -1.0 } else { 1.0 };
+                together.extend(class.taps.iter().map(|tap| Tap { weight: sign * tap.weight, ..*tap }));
+            }
+            let mass = kernel.magnitude();
+            let again = KernelTaps::new(together).unwrap();
+            prop_assert_eq!(again.taps().len(), kernel.taps().len());
+            for (a, b) in again.taps().iter().zip(kernel.taps()) {
+                prop_assert!(a.offset == b.offset && (a.weight - b.weight / mass).abs() < 1e-15);
+            }
+        }
+
+        /// The mean size of the subset is the integral over thresholds, taken here step by step.
+        #[test]
+        fn the_mean_subset_is_the_mean_over_thresholds(
+            weights in prop::collection::vec(-1.0..1.0, 1..20),
+        ) {
+            let listed: Vec<_> =
+                weights.iter().enumerate().map(|(x, &w)| (x as i32, 0, 0, w)).collect();
+            let kernel = taps(&listed);
+            let classes = kernel.sign_classes();
+            let range: f64 = classes.iter().map(|class| class.peak).sum();
+            let steps = 4000;
+            let mut sum = 0.0;
+            for class in &classes {
+                for step in 0..steps {
+                    let z = class.peak * (f64::from(step) + 0.5) / f64::from(steps);
+                    let subset = class.taps.iter().filter(|tap| tap.weight > z).count();
+                    sum += subset as f64 * class.peak / range / f64::from(steps);
+                }
+            }
+            prop_assert!((sum - kernel.mean_subset()).abs() < 1e-2, "{sum}");
+        }
+    }
 }

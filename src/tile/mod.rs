@@ -3,8 +3,10 @@
 //! A tile holds `frames × height × width × spp × dims` coordinates in `[0, 1)`, in C order
 //! (the last axis varies fastest). It wraps toroidally in x, y and t.
 
+mod partition;
 mod shape;
 
+pub use partition::{Block, Cell, Halo, HaloRun, Partition, Reach};
 pub use shape::{MAX_DIMS, MAX_SPP, ShapeError, TileShape};
 
 use thiserror::Error;

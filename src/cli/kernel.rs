@@ -1,0 +1,235 @@
+//! `perceptile kernel`: what a kernel description means, in numbers and as a picture.
+
+use std::fmt::Write as _;
+use std::fs::OpenOptions;
+use std::io::{self, Write as _};
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use perceptile::kernel::{Kernel, KernelClass, KernelSpec, ResolveProblem, Tap, picture};
+use perceptile::tile::TileShape;
+use serde::Serialize;
+
+/// Taps listed per class without `--all`.
+const LISTED: usize = 20;
+
+/// Show the taps of a kernel and what they let through, and draw them
+///
+/// Prints, for each class of the kernel, its size, its sums, what truncation dropped and its
+/// largest taps, and writes a picture: the taps frame by frame (newest first), the space-time
+/// slice, and the frequency response over (x, y) and over (x, t).
+#[derive(Debug, clap::Args)]
+pub struct KernelArgs {
+    /// The kernel, such as "gaussian(2.1) * fovvideovdp(60) @ 7x7x8"
+    ///
+    /// A product of none, gaussian(SIGMA), gaussian(SIGMA, radius=PIXELS), fovvideovdp(FPS),
+    /// ema(ALPHA), box(FRAMES), gaussian_t(SIGMA), gaussian_t(SIGMA, radius=FRAMES) and
+    /// table("FILE.npy", origin=(T, Y, X)); then, if wanted, "@" and the box WIDTHxHEIGHTxFRAMES
+    /// or the share PERCENT% to keep (infinite kernels keep 97% by default). Or a mixture of such
+    /// products, column and frame, each with its weight: "0.9: gaussian(2.1) * ema(0.2) + 0.1:
+    /// column".
+    #[arg(value_name = "SPEC")]
+    pub spec: KernelSpec,
+
+    /// Size of the tile that the kernel is for; column and frame need it
+    #[arg(long, value_name = "WxHxF", value_parser = parse_tile)]
+    pub tile: Option<TileShape>,
+
+    /// List every tap instead of the 20 largest
+    #[arg(long)]
+    pub all: bool,
+
+    /// Print JSON, with every tap; no picture is written unless --out asks for one
+    #[arg(long)]
+    pub json: bool,
+
+    /// Where the picture goes, a PNG file [default: kernel.png]
+    #[arg(long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+
+    /// Overwrite the picture if it exists
+    #[arg(long)]
+    pub force: bool,
+}
+
+/// Prints the kernel and writes its picture.
+///
+/// # Errors
+/// A kernel that cannot be made or does not fit the tile, and a picture that cannot be written.
+pub fn run(args: KernelArgs) -> Result<(), anyhow::Error> {
+    let kernel = match args.tile {
+        Some(shape) => args.spec.resolve(shape)?,
+        None => args.spec.resolve_without_tile().map_err(|error| {
+            let needs_tile = error.problem == ResolveProblem::NeedsTile;
+            let error = anyhow::Error::new(error);
+            if needs_tile { error.context("give --tile WxHxF") } else { error }
+        })?,
+    };
+    let text = if args.json {
+        let report = Report { kernel: args.spec.to_string(), classes: describe(&kernel) };
+        serde_json::to_string_pretty(&report)? + "\n"
+    } else {
+        table(&kernel, if args.all { usize::MAX } else { LISTED })
+    };
+    print(&text)?;
+    let default = (!args.json).then(|| PathBuf::from("kernel.png"));
+    if let Some(path) = args.out.or(default) {
+        write_picture(&kernel, &path, args.force)?;
+        if !args.json {
+            print(&format!("\npicture: {}\n", path.display()))?;
+        }
+    }
+    Ok(())
+}
+
+/// Reads `WIDTHxHEIGHTxFRAMES`; samples per pixel and dimensions do not matter to a kernel.
+fn parse_tile(text: &str) -> Result<TileShape, String> {
+    let sizes: Option<Vec<usize>> = text.split('x').map(|size| size.parse().ok()).collect();
+    let Some(&[width, height, frames]) = sizes.as_deref() else {
+        return Err("expected WIDTHxHEIGHTxFRAMES, such as 64x64x16".to_owned());
+    };
+    TileShape::new(width, height, frames, 1, 1).map_err(|error| error.to_string())
+}
+
+/// Writes to the standard output; that its reader went away is no error.
+fn print(text: &str) -> io::Result<()> {
+    let mut out = io::stdout().lock();
+    match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
+        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
+        result => result,
+    }
+}
+
+fn write_picture(kernel: &Kernel, path: &Path, force: bool) -> Result<(), anyhow::Error> {
+    let mut options = OpenOptions::new();
+    options.write(true);
+    // Whether it exists is asked in opening it, so that no one can come between.
+    let options =
+        if force { options.create(true).truncate(true) } else { options.create_new(true) };
+    let png = picture(kernel).png()?;
+    let mut file = options.open(path).map_err(|error| {
+        if error.kind() == io::ErrorKind::AlreadyExists {
+            anyhow::anyhow!("`{}` exists: choose another --out, or --force", path.display())
+        } else {
+            anyhow::Error::new(error).context(format!("cannot write `{}`", path.display()))
+        }
+    })?;
+    file.write_all(&png).with_context(|| format!("cannot write `{}`", path.display()))
+}
+
+/// The JSON form.
+#[derive(Serialize)]
+struct Report {
+    kernel: String,
+    classes: Vec<ClassReport>,
+}
+
+#[derive(Serialize)]
+struct ClassReport {
+    kernel: String,
+    weight: f64,
+    /// Lowest and highest (dx, dy, dt), both included.
+    low: [i32; 3],
+    high: [i32; 3],
+    /// Pixels across, pixels down, frames.
+    size: [u64; 3],
+    sum: f64,
+    sum_abs: f64,
+    sum_squares: f64,
+    effective_taps: f64,
+    mean_subset: f64,
+    dropped: DroppedReport,
+    /// (dx, dy, dt, weight), largest magnitude first.
+    taps: Vec<(i32, i32, i32, f64)>,
+}
+
+#[derive(Serialize)]
+struct DroppedReport {
+    total: f64,
+    space: Option<f64>,
+    time: Option<f64>,
+}
+
+fn describe(kernel: &Kernel) -> Vec<ClassReport> {
+    let class = |class: &KernelClass| {
+        let KernelClass { weight, taps, dropped, text } = class;
+        let (low, high) = taps.bounds();
+        ClassReport {
+            kernel: text.clone(),
+            weight: *weight,
+            low: low.to_array(),
+            high: high.to_array(),
+            size: taps.size(),
+            sum: taps.sum(),
+            sum_abs: taps.magnitude(),
+            sum_squares: taps.power(),
+            effective_taps: taps.effective_taps(),
+            mean_subset: taps.mean_subset(),
+            dropped: DroppedReport {
+                total: dropped.total,
+                space: dropped.space,
+                time: dropped.time,
+            },
+            taps: taps
+                .taps()
+                .iter()
+                .map(|&Tap { offset, weight }| (offset.x, offset.y, offset.z, weight))
+                .collect(),
+        }
+    };
+    kernel.classes().iter().map(class).collect()
+}
+
+/// The form for people, with at most `listed` taps per class.
+fn table(kernel: &Kernel, listed: usize) -> String {
+    let mut text = String::new();
+    for (i, class) in describe(kernel).iter().enumerate() {
+        if i > 0 {
+            text.push('\n');
+        }
+        // Writing into a String cannot fail.
+        let _ = write_class(&mut text, class, listed, kernel.classes().len() > 1);
+    }
+    text
+}
+
+fn write_class(
+    out: &mut String,
+    class: &ClassReport,
+    listed: usize,
+    mixture: bool,
+) -> std::fmt::Result {
+    let percent = |share: f64| format!("{:.1} %", 100.0 * share);
+    let [width, height, frames] = class.size;
+    let ([left, top, past], [right, bottom, newest]) = (class.low, class.high);
+    let share =
+        if mixture { format!(", {} of draws", percent(class.weight)) } else { String::new() };
+    writeln!(out, "{}{share}", class.kernel)?;
+    writeln!(
+        out,
+        "  box              {width}x{height}x{frames}: dx {left}..{right}, dy {top}..{bottom}, dt {past}..{newest}"
+    )?;
+    writeln!(out, "  taps             {}", class.taps.len())?;
+    writeln!(out, "  effective taps   {:.1}  (1/Σg²)", class.effective_taps)?;
+    writeln!(out, "  mean subset      {:.1}  (taps above a random threshold)", class.mean_subset)?;
+    writeln!(out, "  Σg               {:.6}", class.sum)?;
+    writeln!(out, "  Σ|g|             {:.6}", class.sum_abs)?;
+    writeln!(out, "  Σg²              {:.6e}", class.sum_squares)?;
+    let dropped = match (class.dropped.space, class.dropped.time) {
+        (Some(space), Some(time)) => {
+            format!("  (space {}, time {})", percent(space), percent(time))
+        }
+        _ => String::new(),
+    };
+    writeln!(out, "  dropped of Σ|g|  {}{dropped}", percent(class.dropped.total))?;
+    writeln!(out, "     dx   dy   dt        weight   Σ|g| so far")?;
+    let mut mass = 0.0;
+    for &(dx, dy, dt, weight) in class.taps.iter().take(listed) {
+        mass += weight.abs();
+        writeln!(out, "  {dx:>5}{dy:>5}{dt:>5}  {weight:>12.9}   {:>11}", percent(mass))?;
+    }
+    match class.taps.len().saturating_sub(listed) {
+        0 => Ok(()),
+        more => writeln!(out, "  and {more} more (--all)"),
+    }
+}

@@ -1,0 +1,19 @@
+//! Tiles, pictures and provenance as files: everything that enters or leaves by the disk.
+//!
+//! Inwards, [`source`] recognises what a path holds and makes a [`Tile`](crate::tile::Tile) of
+//! it: our own and foreign `.npy` files ([`npy`]), PNG strips and folders of PNG slices
+//! ([`png`]; [`series`] puts the slices in order). Outwards, [`slices`] exports a tile as PNG
+//! files, [`picture`] draws its preview, [`sidecar`] records where it came from, and all of them
+//! write through [`write`](mod@write), which never loses an existing file.
+//!
+//! Every reader takes hostile input: it answers with a tile or an error that names the value and
+//! the rule, and allocates no more than the size of the file can justify.
+
+pub mod npy;
+pub mod picture;
+pub mod png;
+pub mod series;
+pub mod sidecar;
+pub mod slices;
+pub mod source;
+pub mod write;

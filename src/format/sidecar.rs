@@ -1,0 +1,315 @@
+//! The provenance of a tile: a JSON file beside it that says what it is, how good it is, and the
+//! command that makes it again.
+//!
+//! `tile.npy` has `tile.json`. The digest ties the two: it is the SHA-256 of the whole `.npy`
+//! file, so that `sha256sum tile.npy` checks it without this program.
+
+use std::fs::{self, File};
+use std::io::{self, Read, Write};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use sha2::{Digest, Sha256};
+use thiserror::Error;
+
+use super::npy;
+use super::write::{self, Existing, WriteError};
+use crate::tile::{Tile, TileShape};
+
+/// The version of the format that is written and read.
+pub const FORMAT: u32 = 1;
+/// Longest sidecar that is read, in bytes.
+const MAX_BYTES: u64 = 16 << 20;
+
+/// Why a sidecar cannot be read.
+#[derive(Debug, Error)]
+pub enum SidecarError {
+    /// Opening or reading failed.
+    #[error("cannot read {}: {error}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the system says.
+        error: io::Error,
+    },
+    /// No regular file, or one too long.
+    #[error(
+        "cannot read {}: a sidecar is a file of at most {MAX_BYTES} bytes, not {found}",
+        path.display()
+    )]
+    Size {
+        /// The path.
+        path: PathBuf,
+        /// What is there.
+        found: String,
+    },
+    /// The text is not JSON, or not that of a sidecar.
+    #[error("not the provenance of a tile: {0}")]
+    Json(serde_json::Error),
+    /// A later version of the format.
+    #[error("the provenance has format {found}, but this version reads format {FORMAT}")]
+    Format {
+        /// The format that the file says.
+        found: u32,
+    },
+    /// The digest is not one.
+    #[error("the digest is {found:?}, but it must have 64 digits of 0-9 and a-f")]
+    Digest {
+        /// What stands there.
+        found: String,
+    },
+}
+
+/// Where a tile comes from. Unknown and missing fields are errors.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Sidecar {
+    /// Version of this format: [`FORMAT`].
+    pub format: u32,
+    /// The program that made the tile.
+    pub program: String,
+    /// Its version.
+    pub version: String,
+    /// The command line that makes the tile again.
+    pub command: String,
+    /// The kernel, in the text form that the command takes.
+    pub kernel: String,
+    /// The seed of every random number.
+    pub seed: u64,
+    /// The tile's shape.
+    pub shape: TileShape,
+    /// All options of the optimizer, those left at their defaults included.
+    pub options: Value,
+    /// When the tile was finished: UTC, `2026-01-31T23:59:59Z`.
+    pub created: String,
+    /// How long it took, in seconds.
+    pub seconds: f64,
+    /// SHA-256 of the tile's `.npy` file, see [`digest`].
+    pub sha256: String,
+    /// The tile's scores; `null` if they were not measured.
+    pub scores: Value,
+}
+
+/// The one field that every version has.
+#[derive(Deserialize)]
+struct Version {
+    format: u32,
+}
+
+impl Sidecar {
+    /// Where the sidecar of a tile is: `tile.npy` → `tile.json`.
+    pub fn path_of(tile: &Path) -> PathBuf {
+        tile.with_extension("json")
+    }
+
+    /// Reads a sidecar from its text.
+    ///
+    /// # Errors
+    /// Text that is not JSON, a later format, fields that are missing, unknown or of another
+    /// type (the message has line and column), a shape that is no tile's, a digest that is none.
+    pub fn parse(text: &[u8]) -> Result<Self, SidecarError> {
+        let Version { format } = serde_json::from_slice(text).map_err(SidecarError::Json)?;
+        if format != FORMAT {
+            return Err(SidecarError::Format { found: format });
+        }
+        let sidecar: Self = serde_json::from_slice(text).map_err(SidecarError::Json)?;
+        let hexadecimal = |c: u8| matches!(c, b'0'..=b'9' | b'a'..=b'f');
+        if sidecar.sha256.len() != 64 || !sidecar.sha256.bytes().all(hexadecimal) {
+            return Err(SidecarError::Digest { found: sidecar.sha256 });
+        }
+        Ok(sidecar)
+    }
+
+    /// Reads a sidecar from its file.
+    ///
+    /// # Errors
+    /// Those of [`Self::parse`], and what keeps the file from being read.
+    pub fn read(path: &Path) -> Result<Self, SidecarError> {
+        let io = |error| SidecarError::Io { path: path.to_owned(), error };
+        let size = |found| SidecarError::Size { path: path.to_owned(), found };
+        // Asked before opening, which would wait for ever on a pipe.
+        let metadata = fs::metadata(path).map_err(io)?;
+        if !metadata.is_file() {
+            return Err(size("something else".to_owned()));
+        }
+        if metadata.len() > MAX_BYTES {
+            return Err(size(format!("one of {} bytes", metadata.len())));
+        }
+        let mut text = Vec::new();
+        File::open(path)
+            .and_then(|file| file.take(MAX_BYTES).read_to_end(&mut text))
+            .map_err(io)?;
+        Self::parse(&text)
+    }
+
+    /// Writes the sidecar to a file, indented, with a line feed at the end.
+    ///
+    /// # Errors
+    /// Those of [`write::write`].
+    pub fn write(&self, path: &Path, existing: Existing) -> Result<(), WriteError> {
+        write::write(path, existing, |out| {
+            serde_json::to_writer_pretty(&mut *out, self)?;
+            writeln!(out)
+        })
+    }
+}
+
+/// The SHA-256 of a tile's `.npy` file (see [`npy::write_tile`]), as 64 hexadecimal digits.
+///
+/// It depends on the tile alone, so that equal digests mean equal tiles on every machine.
+pub fn digest(tile: &Tile) -> String {
+    struct Hasher(Sha256);
+
+    impl Write for Hasher {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            self.0.update(bytes);
+            Ok(bytes.len())
+        }
+
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    let mut hasher = Hasher(Sha256::new());
+    npy::write_tile(tile, &mut hasher).expect("hashing cannot fail");
+    hasher.0.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// A point in time as `2026-01-31T23:59:59Z`; times before 1970 count as its first second.
+pub fn utc(time: SystemTime) -> String {
+    let seconds = time.duration_since(UNIX_EPOCH).unwrap_or(Duration::ZERO).as_secs();
+    let (mut days, clock) = (seconds / 86_400, seconds % 86_400);
+    let leap = |year: u64| {
+        year.is_multiple_of(4) && (!year.is_multiple_of(100) || year.is_multiple_of(400))
+    };
+    // The calendar repeats after 400 years, which leaves few years to walk through.
+    const CYCLE: u64 = 146_097;
+    let mut year = 1970 + 400 * (days / CYCLE);
+    days %= CYCLE;
+    while days >= 365 + u64::from(leap(year)) {
+        days -= 365 + u64::from(leap(year));
+        year += 1;
+    }
+    let february = 28 + u64::from(leap(year));
+    let mut month = 1;
+    for length in [31, february, 31, 30, 31, 30, 31, 31, 30, 31, 30] {
+        if days < length {
+            break;
+        }
+        days -= length;
+        month += 1;
+    }
+    format!(
+        "{year:04}-{month:02}-{:02}T{:02}:{:02}:{:02}Z",
+        days + 1,
+        clock / 3600,
+        clock / 60 % 60,
+        clock % 60
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    fn example() -> Sidecar {
+        Sidecar {
+            format: FORMAT,
+            program: "perceptile".into(),
+            version: "0.1.0".into(),
+            command: "perceptile optimize --tile 2x1x1 --seed 18446744073709551615".into(),
+            kernel: "gaussian(2.1) * fovvideovdp(60)".into(),
+            seed: u64::MAX,
+            shape: TileShape::new(2, 1, 1, 1, 1).unwrap(),
+            options: json!({ "steps": 100, "rate": 0.1_f64 + 0.2, "name": "naïve \"quote\"" }),
+            created: utc(UNIX_EPOCH),
+            seconds: 1e-3 / 3.0,
+            sha256: digest(&small()),
+            scores: Value::Null,
+        }
+    }
+
+    fn small() -> Tile {
+        Tile::new(TileShape::new(2, 1, 1, 1, 1).unwrap(), vec![0.25, 0.75]).unwrap()
+    }
+
+    #[test]
+    fn a_sidecar_is_read_as_it_was_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = Sidecar::path_of(&folder.path().join("a.b.npy"));
+        assert_eq!(path.file_name().unwrap(), "a.b.json");
+        example().write(&path, Existing::Keep).unwrap();
+        assert_eq!(Sidecar::read(&path).unwrap(), example());
+        assert!(fs::read_to_string(&path).unwrap().ends_with("}\n"));
+    }
+
+    #[test]
+    fn every_deviation_is_an_error() {
+        let mut value = serde_json::to_value(example()).unwrap();
+        let parse = |value: &Value| Sidecar::parse(value.to_string().as_bytes());
+        assert_eq!(parse(&value).unwrap(), example());
+        for key in value.as_object().unwrap().keys() {
+            let mut lacking = value.clone();
+            lacking.as_object_mut().unwrap().remove(key);
+            let error = parse(&lacking).unwrap_err();
+            assert!(error.to_string().contains(key.as_str()), "{key}: {error}");
+        }
+        for (key, bad, message) in [
+            ("format", json!(2), "format 2"),
+            ("format", json!(-1), "-1"),
+            ("seed", json!(-1), "-1"),
+            ("seed", json!("1"), "\"1\""),
+            (
+                "shape",
+                json!({"width": 0, "height": 1, "frames": 1, "spp": 1, "dims": 1}),
+                "width is 0",
+            ),
+            ("sha256", json!("xyz"), "xyz"),
+            ("sha256", json!("A".repeat(64)), "AAA"),
+            ("sead", json!(1), "sead"),
+        ] {
+            let mut wrong = value.clone();
+            wrong[key] = bad;
+            let error = parse(&wrong).unwrap_err();
+            assert!(error.to_string().contains(message), "{error}");
+        }
+        value["format"] = json!("1");
+        assert!(matches!(parse(&value), Err(SidecarError::Json(_))));
+        let deep = "[".repeat(1 << 20);
+        for text in ["", "{", "null", "[]", "{\"format\": 1}", deep.as_str()] {
+            assert!(matches!(Sidecar::parse(text.as_bytes()), Err(SidecarError::Json(_))));
+        }
+    }
+
+    #[test]
+    fn what_is_no_sidecar_file_is_not_read() {
+        let folder = tempfile::tempdir().unwrap();
+        assert!(matches!(Sidecar::read(folder.path()), Err(SidecarError::Size { .. })));
+        let path = folder.path().join("long.json");
+        assert!(matches!(Sidecar::read(&path), Err(SidecarError::Io { .. })));
+        File::create(&path).unwrap().set_len(1 << 40).unwrap();
+        assert!(matches!(Sidecar::read(&path), Err(SidecarError::Size { .. })));
+    }
+
+    #[test]
+    fn dates_are_those_of_the_calendar() {
+        // Computed with GNU date.
+        for (seconds, text) in [
+            (0, "1970-01-01T00:00:00Z"),
+            (951_782_399, "2000-02-28T23:59:59Z"),
+            (951_782_400, "2000-02-29T00:00:00Z"),
+            (951_868_800, "2000-03-01T00:00:00Z"),
+            (1_798_761_599, "2026-12-31T23:59:59Z"),
+            (4_107_542_400, "2100-03-01T00:00:00Z"),
+            (13_574_563_200, "2400-02-29T00:00:00Z"),
+        ] {
+            assert_eq!(utc(UNIX_EPOCH + Duration::from_secs(seconds)), text);
+        }
+        assert_eq!(utc(UNIX_EPOCH - Duration::from_secs(1)), "1970-01-01T00:00:00Z");
+    }
+}

@@ -1,0 +1,132 @@
+//! A tile as PNG files: a file per frame, or all frames below each other in a strip.
+//!
+//! A coordinate x becomes the level ⌊256 x⌋ or ⌊65,536 x⌋, so that a renderer that reads
+//! (level + 1/2) / levels is off by half a level at most, and no level is favoured.
+
+use std::path::{Path, PathBuf};
+
+use super::png::{self, Depth, Layout, Raster};
+use super::write::{self, Existing, WriteError};
+use crate::tile::{Tile, TileShape};
+
+/// Most dimensions that one PNG holds.
+const PNG_DIMS: usize = 4;
+/// Dimensions of a file where one PNG cannot hold all: what a renderer takes at a time.
+const PAIR: usize = 2;
+
+/// How a tile becomes PNG files.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct SliceOptions {
+    /// Bits of a channel.
+    pub depth: Depth,
+    /// All frames in one picture, from the first at the top, and not a file for each.
+    pub strip: bool,
+}
+
+/// The files of a tile of `shape` in `folder`, in the order in which [`write_slices`] writes.
+///
+/// With one sample per pixel and at most four dimensions: `STEM_f000.png` and so on, or
+/// `STEM.png` for a strip. Otherwise a file holds one sample and a pair of dimensions (or all of
+/// them, where there are at most four) and says so: `STEM_f000_s00_d02.png` has dimensions 2 and
+/// 3 of sample 0.
+pub fn slice_paths(
+    shape: TileShape,
+    options: SliceOptions,
+    folder: &Path,
+    stem: &str,
+) -> Vec<PathBuf> {
+    pieces(shape, options).map(|piece| folder.join(piece.name(shape, stem))).collect()
+}
+
+/// Writes a tile as PNG files and returns their paths.
+///
+/// Dimensions are channels: one is gray, two are red and green (blue is 0), three are RGB, four
+/// RGBA. A large tile's strip must stay below 2³¹ pixels of height.
+///
+/// # Errors
+/// Before anything is written, those of [`write::probe`] for all files; then what the system
+/// reports.
+pub fn write_slices(
+    tile: &Tile,
+    options: SliceOptions,
+    folder: &Path,
+    stem: &str,
+    existing: Existing,
+) -> Result<Vec<PathBuf>, WriteError> {
+    let shape = tile.shape();
+    let paths = slice_paths(shape, options, folder, stem);
+    write::probe(&paths, existing)?;
+    for (piece, path) in pieces(shape, options).zip(&paths) {
+        let raster = piece.raster(tile, options.depth);
+        write::write(path, existing, |out| png::encode(&raster, out))?;
+    }
+    Ok(paths)
+}
+
+/// What one file holds.
+struct Piece {
+    /// The only frame, or all.
+    frame: Option<usize>,
+    sample: usize,
+    first_dim: usize,
+    dims: usize,
+    /// Whether the name must say sample and dimension.
+    named: bool,
+}
+
+/// All files of a tile, in natural order of their names.
+fn pieces(shape: TileShape, options: SliceOptions) -> impl Iterator<Item = Piece> {
+    let group = if shape.dims() > PNG_DIMS { PAIR } else { shape.dims() };
+    let named = shape.spp() > 1 || shape.dims() > PNG_DIMS;
+    let files = if options.strip { 1 } else { shape.frames() };
+    (0..files).flat_map(move |frame| {
+        (0..shape.spp()).flat_map(move |sample| {
+            (0..shape.dims()).step_by(group).map(move |first_dim| Piece {
+                frame: (!options.strip).then_some(frame),
+                sample,
+                first_dim,
+                dims: group.min(shape.dims() - first_dim),
+                named,
+            })
+        })
+    })
+}
+
+impl Piece {
+    fn name(&self, shape: TileShape, stem: &str) -> String {
+        // As many digits as the last number needs keep the files sorted everywhere.
+        let digits = (shape.frames() - 1).to_string().len().max(3);
+        let frame = self.frame.map_or(String::new(), |frame| format!("_f{frame:0digits$}"));
+        let part = if self.named {
+            format!("_s{:02}_d{:02}", self.sample, self.first_dim)
+        } else {
+            String::new()
+        };
+        format!("{stem}{frame}{part}.png")
+    }
+
+    fn raster(&self, tile: &Tile, depth: Depth) -> Raster {
+        let shape = tile.shape();
+        let layout = match self.dims {
+            1 => Layout::Gray,
+            2 | 3 => Layout::Rgb,
+            _ => Layout::Rgba,
+        };
+        let frames = self.frame.map_or(0..shape.frames(), |frame| frame..frame + 1);
+        let height = frames.len() * shape.height();
+        let mut levels = vec![0; height * shape.width() * layout.channels()];
+        let mut pixels = levels.chunks_exact_mut(layout.channels());
+        for t in frames {
+            for y in 0..shape.height() {
+                for x in 0..shape.width() {
+                    let point = &tile.point(x, y, t, self.sample)[self.first_dim..];
+                    let pixel = pixels.next().expect("the raster has every pixel of its frames");
+                    for (level, &coordinate) in pixel.iter_mut().zip(&point[..self.dims]) {
+                        *level = depth.quantize(coordinate);
+                    }
+                }
+            }
+        }
+        Raster { width: shape.width(), height, layout, depth, levels }
+    }
+}

@@ -1,0 +1,480 @@
+//! A tile from a path, whatever it holds: a `.npy` file, a strip of PNG slices, or a folder of
+//! them.
+//!
+//! The content decides what a file is, not its name.
+
+use std::fs::{self, File};
+use std::io::{self, BufReader, Read, Seek};
+use std::path::{Path, PathBuf};
+
+use thiserror::Error;
+
+use super::npy::{self, NpyError};
+use super::png::{self, Channel, Channels, Layout, PngError, Raster};
+use super::series::{Series, SeriesError, SeriesLayout};
+use crate::tile::{ShapeError, Tile, TileShape};
+
+/// Most coordinates of a tile made of PNG files, which compress too well for the size of the
+/// files to bound them: 4 GiB.
+const MAX_COORDINATES: usize = 1 << 30;
+
+/// Why a path gives no tile.
+#[derive(Debug, Error)]
+pub enum SourceError {
+    /// Opening or reading failed.
+    #[error("cannot read {}: {error}", path.display())]
+    Io {
+        /// What was to be read.
+        path: PathBuf,
+        /// What the system says.
+        error: io::Error,
+    },
+    /// A pipe or a device, whose size nobody knows.
+    #[error("cannot read {}: it is neither a file nor a folder", path.display())]
+    Special {
+        /// The path.
+        path: PathBuf,
+    },
+    /// A file of another kind.
+    #[error("cannot read {}: it is neither a .npy file nor a PNG", path.display())]
+    Unknown {
+        /// The file.
+        path: PathBuf,
+    },
+    /// A `.npy` file that is no tile.
+    #[error("cannot read {}: {error}", path.display())]
+    Npy {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        error: NpyError,
+    },
+    /// A PNG that cannot be read.
+    #[error("cannot read {}: {error}", path.display())]
+    Png {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        error: PngError,
+    },
+    /// A folder whose PNG files are not the slices of one tile.
+    #[error("cannot read {}: {error}", path.display())]
+    Series {
+        /// The folder.
+        path: PathBuf,
+        /// What is wrong.
+        error: SeriesError,
+    },
+    /// A folder without PNG files.
+    #[error("cannot read {}: the folder has no PNG files", path.display())]
+    Empty {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// A slice that differs from the first.
+    #[error("cannot read {}: it has {found}, but the first slice has {expected}", path.display())]
+    Unequal {
+        /// The slice.
+        path: PathBuf,
+        /// Its size, channels and bits.
+        found: String,
+        /// The first slice's.
+        expected: String,
+    },
+    /// A channel that was asked for is not there.
+    #[error("cannot read channel {channel} of {}: it has {held}", path.display())]
+    Channel {
+        /// The file.
+        path: PathBuf,
+        /// The channel asked for.
+        channel: Channel,
+        /// What the file has.
+        held: String,
+    },
+    /// Files that should hold one sample's dimensions one after the other do not.
+    #[error("cannot read {}: the file should begin with dimension {expected}", path.display())]
+    Dimensions {
+        /// The file.
+        path: PathBuf,
+        /// The dimension that follows those of the file before.
+        expected: usize,
+    },
+    /// A strip that cannot be cut into slices as asked.
+    #[error(
+        "cannot read {}: a strip of {width}x{height} pixels is no whole number of slices of {slice}",
+        path.display()
+    )]
+    Strip {
+        /// The file.
+        path: PathBuf,
+        /// Pixels across.
+        width: usize,
+        /// Pixels down.
+        height: usize,
+        /// What the slices should be.
+        slice: String,
+    },
+    /// The number of frames differs from the one asked for.
+    #[error("{} has {found} frames, but {asked} were asked for", path.display())]
+    Frames {
+        /// The file or folder.
+        path: PathBuf,
+        /// Frames there.
+        found: usize,
+        /// Frames asked for.
+        asked: usize,
+    },
+    /// The slices are no whole number of frames.
+    #[error("{} has {slices} slices, which cannot hold {spp} samples per pixel", path.display())]
+    Spp {
+        /// The file or folder.
+        path: PathBuf,
+        /// Slices, or samples per pixel, there.
+        slices: usize,
+        /// Samples per pixel asked for.
+        spp: usize,
+    },
+    /// The sizes are not those of a tile.
+    #[error("cannot read {}: {error}", path.display())]
+    Shape {
+        /// The file or folder.
+        path: PathBuf,
+        /// What is wrong.
+        error: ShapeError,
+    },
+    /// More coordinates than are read from PNG files, or than the machine has memory for.
+    #[error(
+        "cannot read {}: a tile of {shape} is too large to be read from PNG files",
+        path.display()
+    )]
+    Large {
+        /// The file or folder.
+        path: PathBuf,
+        /// The tile that it would be.
+        shape: TileShape,
+    },
+}
+
+/// Where a tile is read from, and what its file does not say itself.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct TileSource {
+    /// A `.npy` file (see [`npy::read_tile`]), a PNG with all slices below each other, or a
+    /// folder of PNG slices (see [`Series`]; files of other kinds in it do not matter).
+    pub path: PathBuf,
+    /// Channels that are the dimensions of a sample, in this order. In a `.npy` file, dimensions
+    /// 0 to 3 go by the names r, g, b and a.
+    ///
+    /// By default every dimension of a `.npy` file, and of PNG files every colour, not alpha; but
+    /// green and blue do not count where they are the last and 0 in all pixels, as in pictures of
+    /// one or two dimensions that were saved as RGB.
+    pub channels: Option<Channels>,
+    /// Samples per pixel: the last axis of a `.npy` file of four axes is cut into as many parts;
+    /// as many consecutive PNG slices make one frame. By default what the file says, else 1.
+    pub spp: Option<usize>,
+    /// Frames. A strip is cut into as many; without it, its slices are taken to be square. Where
+    /// the file says it, the two must agree.
+    pub frames: Option<usize>,
+}
+
+impl TileSource {
+    /// A source that is read as its files say.
+    pub fn new(path: impl Into<PathBuf>) -> Self {
+        Self { path: path.into(), channels: None, spp: None, frames: None }
+    }
+
+    /// Reads the tile.
+    ///
+    /// # Errors
+    /// Any [`SourceError`]: nothing there that can be read, damage, or a contradiction between
+    /// the files and what was asked for.
+    pub fn read(&self) -> Result<Tile, SourceError> {
+        let metadata = fs::metadata(&self.path).map_err(self.io())?;
+        if metadata.is_dir() {
+            return self.read_folder();
+        }
+        let (mut file, bytes) = open(&self.path)?;
+        let mut start = Vec::new();
+        Read::by_ref(&mut file).take(8).read_to_end(&mut start).map_err(self.io())?;
+        file.rewind().map_err(self.io())?;
+        if start == png::SIGNATURE {
+            self.read_strip(file, bytes)
+        } else if start.starts_with(b"\x93NUMPY") {
+            self.read_npy(file, bytes)
+        } else {
+            Err(SourceError::Unknown { path: self.path.clone() })
+        }
+    }
+
+    fn read_npy(&self, file: BufReader<File>, bytes: u64) -> Result<Tile, SourceError> {
+        let tile = npy::read_tile(file, bytes, self.spp)
+            .map_err(|error| SourceError::Npy { path: self.path.clone(), error })?;
+        self.check_frames(tile.shape().frames())?;
+        match &self.channels {
+            None => Ok(tile),
+            Some(channels) => self.select(&tile, channels),
+        }
+    }
+
+    /// The tile that has only the dimensions that `channels` name.
+    fn select(&self, tile: &Tile, channels: &Channels) -> Result<Tile, SourceError> {
+        let shape = tile.shape();
+        let dims = channels
+            .as_slice()
+            .iter()
+            .map(|&channel| {
+                let dim = channel as usize;
+                (dim < shape.dims()).then_some(dim).ok_or_else(|| SourceError::Channel {
+                    path: self.path.clone(),
+                    channel,
+                    held: format!("{} dimensions", shape.dims()),
+                })
+            })
+            .collect::<Result<Vec<_>, _>>()?;
+        let points = tile.samples().chunks_exact(shape.dims());
+        let samples = points.flat_map(|point| dims.iter().map(|&dim| point[dim])).collect();
+        Ok(Tile::new(with_dims(shape, dims.len()), samples)
+            .expect("coordinates of a tile make a tile"))
+    }
+
+    fn read_strip(&self, file: BufReader<File>, bytes: u64) -> Result<Tile, SourceError> {
+        let strip = decode(&self.path, file, bytes)?;
+        let spp = self.spp.unwrap_or(1);
+        let (height, slice) = match self.frames {
+            Some(frames) => {
+                let slices = frames.saturating_mul(spp);
+                (strip.height.checked_div(slices).unwrap_or(0), format!("{slices} in all"))
+            }
+            None => (strip.width, format!("{0}x{0} pixels", strip.width)),
+        };
+        let whole = height > 0
+            && strip.height.is_multiple_of(height)
+            && self.frames.is_none_or(|frames| frames * spp * height == strip.height);
+        if !whole {
+            return Err(SourceError::Strip {
+                path: self.path.clone(),
+                width: strip.width,
+                height: strip.height,
+                slice,
+            });
+        }
+        let slices = strip.height / height;
+        let heads = [(self.path.clone(), strip)];
+        let mut tile = Assembly::new(self, &heads, height, slices, None)?;
+        for slice in 0..slices {
+            tile.add(&heads[0].1, slice * height, slice, 0);
+        }
+        Ok(tile.finish())
+    }
+
+    fn read_folder(&self) -> Result<Tile, SourceError> {
+        let mut names = Vec::new();
+        for entry in fs::read_dir(&self.path).map_err(self.io())? {
+            let name = entry.map_err(self.io())?.file_name();
+            let is_png = Path::new(&name)
+                .extension()
+                .is_some_and(|extension| extension.eq_ignore_ascii_case("png"));
+            if is_png {
+                names.push(name.to_string_lossy().into_owned());
+            }
+        }
+        let series = Series::new(names)
+            .map_err(|error| SourceError::Series { path: self.path.clone(), error })?;
+        let read = |name: &String| {
+            let path = self.path.join(name);
+            let (file, bytes) = open(&path)?;
+            decode(&path, file, bytes).map(|raster| (path, raster))
+        };
+
+        // The files of the first sample say what all others must be.
+        let groups = series.layout.as_ref().map_or(1, |layout| layout.first_dims.len());
+        let (first, others) = series.names.split_at(groups.min(series.names.len()));
+        let heads = first.iter().map(read).collect::<Result<Vec<_>, _>>()?;
+        let Some((_, head)) = heads.first() else {
+            return Err(SourceError::Empty { path: self.path.clone() });
+        };
+        let slices = series.names.len() / groups;
+        let mut tile = Assembly::new(self, &heads, head.height, slices, series.layout.as_ref())?;
+        for (group, (_, raster)) in heads.iter().enumerate() {
+            tile.add(raster, 0, 0, group);
+        }
+        for (number, name) in (groups..).zip(others) {
+            let (path, raster) = read(name)?;
+            let group = number % groups;
+            same_form(&path, &raster, &heads[group].1)?;
+            tile.add(&raster, 0, number / groups, group);
+        }
+        Ok(tile.finish())
+    }
+
+    fn check_frames(&self, found: usize) -> Result<(), SourceError> {
+        match self.frames {
+            Some(asked) if asked != found => {
+                Err(SourceError::Frames { path: self.path.clone(), found, asked })
+            }
+            _ => Ok(()),
+        }
+    }
+
+    fn io(&self) -> impl FnOnce(io::Error) -> SourceError {
+        let path = self.path.clone();
+        |error| SourceError::Io { path, error }
+    }
+}
+
+/// A tile that grows slice by slice.
+struct Assembly {
+    shape: TileShape,
+    samples: Vec<f32>,
+    /// For each file of a sample: where in a pixel its dimensions stand, in order.
+    positions: Vec<Vec<usize>>,
+    /// The coordinate of level 0, if green and blue may be mere padding.
+    padding: Option<f32>,
+}
+
+impl Assembly {
+    /// A tile of `slices` slices of `height` rows, whose first sample is in `heads`.
+    fn new(
+        source: &TileSource,
+        heads: &[(PathBuf, Raster)],
+        height: usize,
+        slices: usize,
+        layout: Option<&SeriesLayout>,
+    ) -> Result<Self, SourceError> {
+        let path = || source.path.clone();
+        let (_, first) = &heads[0];
+        let spp = match (layout, source.spp) {
+            (Some(layout), Some(spp)) if spp != layout.spp => {
+                return Err(SourceError::Spp { path: path(), slices: layout.spp, spp });
+            }
+            (Some(layout), _) => layout.spp,
+            (None, spp) => spp.unwrap_or(1),
+        };
+        if spp == 0 || !slices.is_multiple_of(spp) {
+            return Err(SourceError::Spp { path: path(), slices, spp });
+        }
+        source.check_frames(slices / spp)?;
+
+        let mut dims = 0;
+        let mut positions = Vec::new();
+        for (group, (path, raster)) in heads.iter().enumerate() {
+            if (raster.width, raster.height) != (first.width, first.height) {
+                same_form(path, raster, first)?;
+            }
+            let first_dims = layout.map_or(&[][..], |layout| &layout.first_dims);
+            let channels = match (&source.channels, first_dims.get(group + 1)) {
+                (Some(channels), _) => channels.as_slice(),
+                (None, Some(&next)) => Channel::first(next.saturating_sub(dims)),
+                // The last of several files has one dimension or a pair.
+                (None, None) if group > 0 => Channel::first(raster.layout.colors().min(2)),
+                (None, None) => Channel::first(raster.layout.colors()),
+            };
+            if first_dims.get(group).is_some_and(|&named| named != dims) {
+                return Err(SourceError::Dimensions { path: path.clone(), expected: dims });
+            }
+            let position = |&channel| {
+                raster.layout.position(channel).ok_or_else(|| SourceError::Channel {
+                    path: path.clone(),
+                    channel,
+                    held: describe(raster),
+                })
+            };
+            positions.push(channels.iter().map(position).collect::<Result<Vec<_>, _>>()?);
+            dims += channels.len();
+        }
+        let shape = TileShape::new(first.width, height, slices / spp, spp, dims)
+            .map_err(|error| SourceError::Shape { path: path(), error })?;
+        let mut samples = Vec::new();
+        if shape.coordinates() > MAX_COORDINATES
+            || samples.try_reserve_exact(shape.coordinates()).is_err()
+        {
+            return Err(SourceError::Large { path: path(), shape });
+        }
+        samples.resize(shape.coordinates(), 0.0);
+        let padded = source.channels.is_none() && heads.len() == 1;
+        let padding = padded.then(|| first.depth.coordinate(0));
+        Ok(Self { shape, samples, positions, padding })
+    }
+
+    /// Takes the rows of `raster` from `top` as one file of a slice.
+    fn add(&mut self, raster: &Raster, top: usize, slice: usize, group: usize) {
+        let (spp, dims) = (self.shape.spp(), self.shape.dims());
+        let (frame, sample) = (slice / spp, slice % spp);
+        let first_dim: usize = self.positions[..group].iter().map(Vec::len).sum();
+        let channels = raster.layout.channels();
+        let pixels = self.shape.width() * self.shape.height();
+        let rows = &raster.levels[top * raster.width * channels..][..pixels * channels];
+        let points = &mut self.samples[frame * pixels * spp * dims..][..pixels * spp * dims];
+        for (levels, points) in rows.chunks_exact(channels).zip(points.chunks_exact_mut(spp * dims))
+        {
+            let point = &mut points[sample * dims + first_dim..];
+            for (coordinate, &position) in point.iter_mut().zip(&self.positions[group]) {
+                *coordinate = raster.depth.coordinate(levels[position]);
+            }
+        }
+    }
+
+    /// The tile, without channels that are mere padding.
+    fn finish(self) -> Tile {
+        let Self { mut shape, mut samples, padding, .. } = self;
+        if let Some(padding) = padding {
+            let dims = shape.dims();
+            let kept = (1..dims)
+                .rev()
+                .find(|&dim| samples.iter().skip(dim).step_by(dims).any(|&x| x != padding))
+                .map_or(1, |dim| dim + 1);
+            if kept < dims {
+                samples = samples.chunks_exact(dims).flat_map(|p| &p[..kept]).copied().collect();
+                shape = with_dims(shape, kept);
+            }
+        }
+        Tile::new(shape, samples).expect("levels stand for coordinates in [0, 1)")
+    }
+}
+
+/// The same shape with other dimensions, at most as many as channels.
+fn with_dims(shape: TileShape, dims: usize) -> TileShape {
+    TileShape::new(shape.width(), shape.height(), shape.frames(), shape.spp(), dims)
+        .expect("a few dimensions of a sample are within every limit")
+}
+
+/// Opens a regular file and says how long it is.
+fn open(path: &Path) -> Result<(BufReader<File>, u64), SourceError> {
+    let io = |error| SourceError::Io { path: path.to_owned(), error };
+    // Asked before opening, which would wait for ever on a pipe.
+    if !fs::metadata(path).map_err(io)?.is_file() {
+        return Err(SourceError::Special { path: path.to_owned() });
+    }
+    let file = File::open(path).map_err(io)?;
+    let bytes = file.metadata().map_err(io)?.len();
+    Ok((BufReader::new(file), bytes))
+}
+
+fn decode(path: &Path, file: BufReader<File>, bytes: u64) -> Result<Raster, SourceError> {
+    png::decode(file, bytes).map_err(|error| SourceError::Png { path: path.to_owned(), error })
+}
+
+/// Size, channels and bits of a picture, for people.
+fn describe(raster: &Raster) -> String {
+    let layout = match raster.layout {
+        Layout::Gray => "gray",
+        Layout::GrayAlpha => "gray and alpha",
+        Layout::Rgb => "RGB",
+        Layout::Rgba => "RGBA",
+    };
+    format!(
+        "{}x{} pixels, {layout}, {} bits",
+        raster.width,
+        raster.height,
+        raster.depth.bytes() * 8
+    )
+}
+
+/// Checks that a slice is like the one it is compared with.
+fn same_form(path: &Path, raster: &Raster, first: &Raster) -> Result<(), SourceError> {
+    let (found, expected) = (describe(raster), describe(first));
+    if found == expected {
+        Ok(())
+    } else {
+        Err(SourceError::Unequal { path: path.to_owned(), found, expected })
+    }
+}

@@ -1,0 +1,243 @@
+//! Where ranked samples should be: quantiles of the uniform density on the cube, projected.
+//!
+//! The target of rank i among n is the mean of the inverse CDF over [i/n, (i+1)/n] (supplement,
+//! Eq. 8). Along a direction with at most two components the density is a trapezoid and the mean
+//! has a closed form, written so that nothing cancels; along others it comes from tables.
+
+use std::f64;
+
+use crate::draw::{Density, Direction, DirectionSet};
+use crate::tile::MAX_DIMS;
+
+/// Targets along the directions of a tile's dimensions.
+#[derive(Debug, Clone)]
+pub struct Targets {
+    dims: usize,
+    /// For every direction of the fixed set, the integral of the inverse CDF from 0 to
+    /// j/[`NODES`], j = 0..=NODES.
+    tables: Vec<Vec<f64>>,
+}
+
+/// Intervals of a table; also the resolution of the density that it is made from.
+const NODES: usize = 2048;
+
+impl Targets {
+    /// Tables for the directions of `set`.
+    pub fn new(set: &DirectionSet) -> Self {
+        let dims = set.dims();
+        let table = |magnitudes: &[f32; MAX_DIMS]| integrated_quantiles(&magnitudes[..dims]);
+        Self { dims, tables: set.magnitudes().iter().map(table).collect() }
+    }
+
+    /// Writes the targets along `direction` of all ranks of a set of `targets.len()` samples.
+    #[inline(always)]
+    pub fn fill(&self, direction: &Direction, targets: &mut [f32]) {
+        // Negative components mirror the projection; it then starts below 0.
+        let low: f32 = direction.theta[..self.dims].iter().map(|x| x.min(0.0)).sum();
+        match direction.density {
+            Density::Trapezoid => {
+                let (mut a, mut b) = (0.0_f32, 0.0_f32);
+                for x in &direction.theta[..self.dims] {
+                    let x = x.abs();
+                    (a, b) = (a.max(x), b.max(a.min(x)));
+                }
+                trapezoid(a, b, low, targets);
+            }
+            Density::Table { index } => {
+                let table = &self.tables[index as usize];
+                let n = targets.len() as f64;
+                let at = |u: f64| {
+                    let place = u * NODES as f64;
+                    let node = (place as usize).min(NODES - 1);
+                    table[node] + (table[node + 1] - table[node]) * (place - node as f64)
+                };
+                let mut below = 0.0;
+                for (i, target) in targets.iter_mut().enumerate() {
+                    let above = at((i + 1) as f64 / n);
+                    *target = ((above - below) * n) as f32 + low;
+                    below = above;
+                }
+            }
+        }
+    }
+}
+
+/// Targets for the sum of two independent uniform numbers on [0, a] and [0, b], a ≥ b ≥ 0.
+///
+/// With c = b/2a, the inverse CDF is √(2abu) for u ≤ c and au + b/2 up to 1/2; the rest is its
+/// mirror image. The mean over an interval is that of its two parts, by their lengths.
+#[inline(always)]
+fn trapezoid(a: f32, b: f32, low: f32, targets: &mut [f32]) {
+    let n = targets.len();
+    let count = n as f32;
+    let knee = count * (b / (2.0 * a));
+    let root = (2.0 / 3.0) * (2.0 * a * b / count).sqrt();
+    let slope = a / (2.0 * count);
+    let half = n / 2;
+    let (front, back) = targets.split_at_mut(n - half);
+    for (i, target) in front[..half].iter_mut().enumerate() {
+        let (start, end) = (i as f32, i as f32 + 1.0);
+        let (l0, l1) = (start.min(knee), end.min(knee));
+        let (m0, m1) = (start.max(knee), end.max(knee));
+        // Mean of √u between l0 and l1, as a ratio that cannot cancel; 0/tiny where c is 0.
+        let (s0, s1) = (l0.sqrt(), l1.sqrt());
+        let curved = root * (l1 - l0) * (l0 + s0 * s1 + l1) / (s0 + s1 + f32::MIN_POSITIVE);
+        let straight = (m1 - m0) * (slope * (m0 + m1) + 0.5 * b);
+        *target = curved + straight;
+    }
+    for (target, mirror) in back.iter_mut().rev().zip(&*front) {
+        *target = (a + b - mirror) + low;
+    }
+    for target in &mut front[..half] {
+        *target += low;
+    }
+    if n % 2 == 1 {
+        front[half] = 0.5 * (a + b) + low;
+    }
+}
+
+/// The integral of the inverse CDF of Σ mₖ·uₖ at the nodes of a table.
+///
+/// The CDF of a sum of uniforms is built by adding one at a time, Fₖ(x) = (1/m) ∫ Fₖ₋₁ over
+/// [x − m, x], on a grid, with exact integrals of the piecewise linear Fₖ₋₁. Components too small
+/// to span a cell of the grid shift the mean only.
+fn integrated_quantiles(magnitudes: &[f32]) -> Vec<f64> {
+    const GRID: usize = 4 * NODES;
+    let mut parts: Vec<f64> = magnitudes.iter().map(|&m| f64::from(m)).collect();
+    parts.sort_by(|a, b| b.total_cmp(a));
+    let length: f64 = parts.iter().sum();
+    let step = length / GRID as f64;
+    let mut cdf: Vec<f64> = (0..=GRID).map(|i| (i as f64 * step / parts[0]).min(1.0)).collect();
+    let mut integral = vec![0.0; GRID + 1];
+    for &part in parts[1..].iter().filter(|&&part| part > 0.0) {
+        for i in 0..GRID {
+            integral[i + 1] = integral[i] + 0.5 * step * (cdf[i] + cdf[i + 1]);
+        }
+        // ∫ of the piecewise linear CDF from 0 to x.
+        let upto = |x: f64| {
+            let place = (x / step).max(0.0);
+            let i = (place as usize).min(GRID - 1);
+            let f = place - i as f64;
+            integral[i] + step * f * (cdf[i] + 0.5 * f * (cdf[i + 1] - cdf[i]))
+        };
+        let next: Vec<f64> = (0..=GRID)
+            .map(|i| {
+                let x = i as f64 * step;
+                ((upto(x) - upto(x - part)) / part).clamp(0.0, 1.0)
+            })
+            .collect();
+        cdf = next;
+    }
+    cdf[GRID] = 1.0;
+    // ∫₀ᵘ F⁻¹ = u·x − ∫₀ˣ F at F(x) = u (Young), with x found in the grid.
+    let mut table = Vec::with_capacity(NODES + 1);
+    let mut below = 0.0;
+    let mut i = 0;
+    for node in 0..=NODES {
+        let u = node as f64 / NODES as f64;
+        while i + 1 < GRID && cdf[i + 1] < u {
+            below += 0.5 * step * (cdf[i] + cdf[i + 1]);
+            i += 1;
+        }
+        let rise = cdf[i + 1] - cdf[i];
+        let f = if rise > 0.0 { ((u - cdf[i]) / rise).clamp(0.0, 1.0) } else { 0.0 };
+        let x = (i as f64 + f) * step;
+        table.push(u * x - below - step * f * (cdf[i] + 0.5 * f * rise));
+    }
+    table
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::draw::{Stream, Use};
+    use crate::gradient::reference;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn trapezoid_equals_quadrature(angle in 0.01_f64..1.56, n in 1_usize..90) {
+            let theta = DirectionSet::new(2).pair(0, 1, angle / f64::consts::PI).theta;
+            let (a, b) = (theta[0].max(theta[1]), theta[0].min(theta[1]));
+            let mut targets = vec![0.0; n];
+            trapezoid(a, b, 0.0, &mut targets);
+            for rank in [0, n / 5, n / 2, n - 1] {
+                let expected = reference::target(&theta[..2], rank, n);
+                let error = f64::from(targets[rank]) - expected;
+                prop_assert!(error.abs() < 1e-4 / (n as f64).sqrt(), "{error}");
+            }
+        }
+    }
+
+    #[test]
+    fn an_axis_has_equally_spaced_targets() {
+        let set = DirectionSet::new(2);
+        let mut targets = vec![0.0; 5];
+        Targets::new(&set).fill(&set.axis(1), &mut targets);
+        for (target, expected) in targets.into_iter().zip([0.1, 0.3, 0.5, 0.7, 0.9]) {
+            assert!((target - expected).abs() < 1e-6);
+        }
+    }
+
+    #[test]
+    fn mirrored_directions_have_mirrored_targets() {
+        let set = DirectionSet::new(2);
+        let targets = Targets::new(&set);
+        let mut direction = set.pair(0, 1, 0.2);
+        let mut forward = vec![0.0; 7];
+        targets.fill(&direction, &mut forward);
+        direction.theta = direction.theta.map(|x| -x);
+        let mut backward = vec![0.0; 7];
+        targets.fill(&direction, &mut backward);
+        for (a, b) in forward.iter().zip(backward.iter().rev()) {
+            assert!((a + b).abs() < 1e-6);
+        }
+    }
+
+    #[test]
+    fn tables_equal_sorted_projections() {
+        for dims in [3, 5, 16] {
+            let set = DirectionSet::new(dims);
+            let targets = Targets::new(&set);
+            let mut stream = Stream::new(3, Use::Directions, 0, 0);
+            for u in [0.0, 0.3, 0.77] {
+                let direction = set.any(u, &mut stream);
+                let count = 200_000;
+                let mut projections: Vec<f64> = (0..count)
+                    .map(|_| {
+                        direction.theta[..dims]
+                            .iter()
+                            .map(|&theta| f64::from(theta) * stream.unit())
+                            .sum()
+                    })
+                    .collect();
+                projections.sort_by(f64::total_cmp);
+                let n = 8;
+                let mut found = vec![0.0; n];
+                targets.fill(&direction, &mut found);
+                for (target, chunk) in found.iter().zip(projections.chunks(count / n)) {
+                    let mean = chunk.iter().sum::<f64>() / chunk.len() as f64;
+                    assert!((f64::from(*target) - mean).abs() < 4e-3, "{dims}: {target} {mean}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_table_of_two_components_equals_the_trapezoid() {
+        let (a, b) = (0.8_f32, 0.6_f32);
+        let table = integrated_quantiles(&[a, b]);
+        let targets = Targets { dims: 3, tables: vec![table] };
+        let mut theta = [0.0; MAX_DIMS];
+        (theta[0], theta[2]) = (b, a);
+        for n in [1, 4, 61, 1000] {
+            let mut expected = vec![0.0; n];
+            trapezoid(a, b, 0.0, &mut expected);
+            let mut found = vec![0.0; n];
+            targets.fill(&Direction { theta, density: Density::Table { index: 0 } }, &mut found);
+            for (x, y) in found.iter().zip(&expected) {
+                assert!((x - y).abs() < 1e-4, "{n}: {x} {y}");
+            }
+        }
+    }
+}

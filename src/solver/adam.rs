@@ -1,0 +1,173 @@
+//! Adam (Kingma and Ba, 2015), the optimizer of Algorithm 1, line 10.
+//!
+//! Options, moments and the update are kept apart: [`AdamOptions`] says how, [`Update`] does one
+//! row of coordinates. The gradient may be an integer one (from draws) or a float one (from the
+//! polish); both are turned into f32 first.
+
+use std::f64::consts::PI;
+
+use serde::{Deserialize, Serialize};
+
+use crate::gradient::simd::Vectorized;
+use crate::tile::clamp_coordinate;
+
+/// How Adam moves the samples.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct AdamOptions {
+    /// Step size at the start, in units of the cube.
+    pub rate: f64,
+    /// Step size at the end; in between it falls along half a cosine.
+    pub final_rate: f64,
+    /// Decay of the mean of gradients, in [0, 1).
+    pub beta1: f64,
+    /// Decay of the mean of squared gradients, in [0, 1).
+    pub beta2: f64,
+    /// Added to the root of the second moment, in units of the gradient; positive.
+    pub epsilon: f64,
+}
+
+impl AdamOptions {
+    /// Step size in `step` of `steps`.
+    pub fn rate(&self, step: u32, steps: u32) -> f64 {
+        let done = f64::from(step) / f64::from(steps.max(1));
+        self.final_rate + (self.rate - self.final_rate) * 0.5 * (1.0 + libm::cos(PI * done))
+    }
+
+    /// The numbers that all coordinates share in one step.
+    pub fn factors(&self, step: u32, steps: u32, unit: f32) -> Factors {
+        // The corrections 1 − βᵗ by repeated squaring through libm, alike on every machine.
+        let corrected = |beta: f64| 1.0 - libm::pow(beta, f64::from(step) + 1.0);
+        Factors {
+            unit,
+            beta1: self.beta1 as f32,
+            beta2: self.beta2 as f32,
+            rate: (self.rate(step, steps) / corrected(self.beta1)) as f32,
+            second: (1.0 / corrected(self.beta2)) as f32,
+            epsilon: self.epsilon as f32,
+        }
+    }
+}
+
+/// What one step does to every coordinate.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Factors {
+    unit: f32,
+    beta1: f32,
+    beta2: f32,
+    rate: f32,
+    second: f32,
+    epsilon: f32,
+}
+
+/// A gradient that points downhill.
+pub trait Pull: Copy {
+    /// Its value in gradient units.
+    fn value(self) -> f32;
+}
+
+impl Pull for i32 {
+    #[inline(always)]
+    fn value(self) -> f32 {
+        self as f32
+    }
+}
+
+impl Pull for f32 {
+    #[inline(always)]
+    fn value(self) -> f32 {
+        self
+    }
+}
+
+/// One step of a run of coordinates: from the old halves of the state into the new ones.
+pub struct Update<'a, P> {
+    /// What the step does.
+    pub factors: Factors,
+    /// Downhill gradient.
+    pub pulls: &'a [P],
+    /// Coordinates before the step, and after.
+    pub samples: (&'a [f32], &'a mut [f32]),
+    /// First moments before the step, and after.
+    pub first: (&'a [f32], &'a mut [f32]),
+    /// Second moments before the step, and after.
+    pub second: (&'a [f32], &'a mut [f32]),
+}
+
+impl<P: Pull> Vectorized for Update<'_, P> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Factors { unit, beta1, beta2, rate, second: correction, epsilon } = self.factors;
+        let n = self.pulls.len();
+        let (old_x, new_x) = (&self.samples.0[..n], &mut self.samples.1[..n]);
+        let (old_m, new_m) = (&self.first.0[..n], &mut self.first.1[..n]);
+        let (old_v, new_v) = (&self.second.0[..n], &mut self.second.1[..n]);
+        for i in 0..n {
+            let pull = self.pulls[i].value() * unit;
+            let m = beta1 * old_m[i] + (1.0 - beta1) * pull;
+            let v = beta2 * old_v[i] + (1.0 - beta2) * (pull * pull);
+            let move_by = rate * m / ((v * correction).sqrt() + epsilon);
+            new_m[i] = m;
+            new_v[i] = v;
+            new_x[i] = clamp_coordinate(old_x[i] + move_by);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const OPTIONS: AdamOptions =
+        AdamOptions { rate: 0.01, final_rate: 0.001, beta1: 0.9, beta2: 0.99, epsilon: 1e-8 };
+
+    #[test]
+    fn the_step_size_falls_from_its_first_value_to_its_last() {
+        assert_eq!(OPTIONS.rate(0, 100), 0.01);
+        assert!((OPTIONS.rate(50, 100) - 0.0055).abs() < 1e-12);
+        assert!((OPTIONS.rate(100, 100) - 0.001).abs() < 1e-12);
+    }
+
+    #[test]
+    fn moves_equal_the_formulas_of_the_paper_in_f64() {
+        let pulls = [3.0_f32, -0.2, 0.0, 5.0];
+        let (mut x, mut m, mut v) = (vec![0.5_f32; 4], vec![0.0; 4], vec![0.0; 4]);
+        let (mut slow_x, mut slow_m, mut slow_v) = ([0.5_f64; 4], [0.0; 4], [0.0; 4]);
+        for step in 0..5 {
+            let (old_x, old_m, old_v) = (x.clone(), m.clone(), v.clone());
+            Update {
+                factors: OPTIONS.factors(step, 5, 1.0),
+                pulls: &pulls,
+                samples: (&old_x, &mut x),
+                first: (&old_m, &mut m),
+                second: (&old_v, &mut v),
+            }
+            .run();
+            let t = step as i32 + 1;
+            for i in 0..4 {
+                let g = f64::from(pulls[i]);
+                slow_m[i] = 0.9 * slow_m[i] + 0.1 * g;
+                slow_v[i] = 0.99 * slow_v[i] + 0.01 * g * g;
+                let m_hat = slow_m[i] / (1.0 - 0.9_f64.powi(t));
+                let v_hat: f64 = slow_v[i] / (1.0 - 0.99_f64.powi(t));
+                slow_x[i] += OPTIONS.rate(step, 5) * m_hat / (v_hat.sqrt() + 1e-8);
+                assert!((f64::from(x[i]) - slow_x[i]).abs() < 1e-5, "{i}: {} {}", x[i], slow_x[i]);
+            }
+        }
+    }
+
+    #[test]
+    fn coordinates_stay_in_the_cube() {
+        let mut x = [0.0; 2];
+        Update {
+            factors: OPTIONS.factors(0, 1, 1.0),
+            pulls: &[-1_i32, 1],
+            samples: (&[0.001, 0.999], &mut x),
+            first: (&[0.0; 2], &mut [0.0; 2]),
+            second: (&[0.0; 2], &mut [0.0; 2]),
+        }
+        .run();
+        assert_eq!(x, [0.0, crate::tile::BELOW_ONE]);
+    }
+}

@@ -1,0 +1,250 @@
+//! Everything that a tile is a function of, with the presets.
+
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+use crate::draw::DrawOptions;
+use crate::kernel::{KernelError, KernelSpec};
+use crate::solver::adam::AdamOptions;
+use crate::solver::polish::PolishOptions;
+use crate::solver::warp::WarpOptions;
+use crate::tile::TileShape;
+
+/// What the optimization starts from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Start {
+    /// Independent uniform samples (Algorithm 1, line 2).
+    Random,
+    /// Coordinates stratified over each cell of the tile.
+    Stratified,
+    /// A tile that is given, for example a pre-optimized one (section 5, "Optimization cost").
+    Tile,
+}
+
+/// Everything that a tile is a function of, besides the program's version and a starting tile.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Options {
+    /// Size of the tile.
+    pub shape: TileShape,
+    /// The filter through which error is seen: one kernel, or several with weights.
+    pub kernel: KernelSpec,
+    /// What all random numbers depend on.
+    pub seed: u64,
+    /// What the optimization starts from.
+    pub start: Start,
+    /// Steps of stochastic gradient descent.
+    pub steps: u32,
+    /// Steps after which to stop on the way, at most `steps`; the schedule stays that of `steps`.
+    pub stop_after: u32,
+    /// How the draws of a step are made.
+    pub draw: DrawOptions,
+    /// How Adam moves the samples.
+    pub adam: AdamOptions,
+    /// The full-batch descent that follows.
+    pub polish: PolishOptions,
+    /// The uniformity step that ends the run.
+    pub warp: WarpOptions,
+}
+
+/// Why options cannot be run.
+#[derive(Debug, Error, Clone, PartialEq)]
+pub enum OptionsError {
+    /// A number is outside its range.
+    #[error("{name} is {value}, but it must be {rule}")]
+    Range {
+        /// Which number.
+        name: &'static str,
+        /// What was asked for.
+        value: f64,
+        /// The range, in words.
+        rule: &'static str,
+    },
+    /// The kernel does not suit the tile.
+    #[error(transparent)]
+    Kernel(#[from] KernelError),
+    /// So many draws touch a sample in one step that integer gradients would be too coarse.
+    #[error(
+        "{draws} draws of {directions} directions are too many for one step of this tile: take fewer draws and more steps"
+    )]
+    Batch {
+        /// Draws of a step.
+        draws: usize,
+        /// Directions of a draw.
+        directions: usize,
+    },
+    /// The tile given to start from has another shape.
+    #[error("the starting tile is {found}, but the run makes a tile of {expected}")]
+    Start {
+        /// The run's shape.
+        expected: TileShape,
+        /// The given tile's shape.
+        found: TileShape,
+    },
+    /// A start from a tile was asked for, and none was given; or the other way round.
+    #[error("a start from a tile and a starting tile belong together")]
+    StartMissing,
+}
+
+/// Ready-made options.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Preset {
+    /// The best 64×64×16 tile that a minute of two cores allows.
+    Best,
+    /// The same tile in seconds.
+    Quick,
+    /// The paper's job: 128×128×30, gaussian(2.1) × perception at 60 fps, 10,000 steps of 4,096
+    /// draws.
+    Paper,
+    /// The paper's job for frames that are accumulated with α = 0.2.
+    PaperTaa,
+    /// Spatial blue noise, every frame its own (Salaün et al. 2022).
+    Salaun,
+}
+
+impl Preset {
+    /// All presets with the names that users type.
+    pub const ALL: [(Self, &str); 5] = [
+        (Self::Best, "best"),
+        (Self::Quick, "quick"),
+        (Self::Paper, "paper"),
+        (Self::PaperTaa, "paper-taa"),
+        (Self::Salaun, "salaun"),
+    ];
+
+    /// Its options.
+    pub fn options(self) -> Options {
+        let (size, steps, polish) = match self {
+            Self::Best => ((64, 64, 16), 4_000, 150),
+            Self::Quick => ((64, 64, 16), 600, 0),
+            Self::Salaun => ((64, 64, 16), 3_000, 0),
+            Self::Paper | Self::PaperTaa => ((128, 128, 30), 10_000, 30),
+        };
+        let kernel = match self {
+            Self::Best | Self::Quick | Self::Paper => PERCEPTION,
+            Self::PaperTaa => PERCEPTION_TAA,
+            Self::Salaun => "gaussian(2.1) @ 7x7x1",
+        };
+        let (width, height, frames) = size;
+        Options {
+            shape: TileShape::new(width, height, frames, 1, 2).expect("sizes within the limits"),
+            kernel: kernel.parse().expect("a kernel of the documented form"),
+            seed: 1,
+            start: Start::Random,
+            steps,
+            stop_after: steps,
+            draw: DrawOptions {
+                draws: 4096,
+                directions: 1,
+                threshold_range: 0.9,
+                axis_share: 0.05,
+                pair_share: 0.3,
+            },
+            adam: AdamOptions {
+                rate: 0.005,
+                final_rate: 0.0,
+                beta1: 0.9,
+                beta2: 0.99,
+                epsilon: 1e-8,
+            },
+            polish: PolishOptions {
+                steps: polish,
+                axis_weight: 0.2,
+                linear_weight: 0.0,
+                adam: AdamOptions {
+                    rate: 0.002,
+                    final_rate: 0.0,
+                    beta1: 0.9,
+                    beta2: 0.99,
+                    epsilon: 1e-8,
+                },
+            },
+            warp: WarpOptions { frames: 300, rate: 0.5 },
+        }
+    }
+}
+
+/// The paper's kernel with a share of draws of whole columns, which keep the error of a still
+/// picture that accumulates small.
+const PERCEPTION: &str = "0.9: gaussian(2.1) * fovvideovdp(60) @ 7x7x8 + 0.1: column";
+/// The same behind temporal anti-aliasing.
+const PERCEPTION_TAA: &str =
+    "0.9: gaussian(2.1) * fovvideovdp(60) * ema(0.2) @ 7x7x15 + 0.1: column";
+
+impl Options {
+    /// Checks every number against its range.
+    ///
+    /// # Errors
+    /// The first that is outside.
+    pub fn validate(&self) -> Result<(), OptionsError> {
+        let share = "in [0, 1]";
+        let positive = "positive and at most 1";
+        let decay = "in [0, 1)";
+        let DrawOptions { draws, directions, threshold_range, axis_share, pair_share } = self.draw;
+        check("draws", draws as f64, "in 1..=2^30", |x| (1.0..=f64::from(1 << 30)).contains(&x))?;
+        check("directions", directions as f64, "in 1..=16", |x| (1.0..=16.0).contains(&x))?;
+        check("stop-after", self.stop_after.into(), "at most the number of steps", |x| {
+            x <= f64::from(self.steps)
+        })?;
+        check("threshold-range", threshold_range, positive, |x| x > 0.0 && x <= 1.0)?;
+        for (name, value) in [("axis-share", axis_share), ("pair-share", pair_share)] {
+            check(name, value, share, |x| (0.0..=1.0).contains(&x))?;
+        }
+        check("axis-share + pair-share", axis_share + pair_share, "at most 1", |x| x <= 1.0)?;
+        for adam in [&self.adam, &self.polish.adam] {
+            check("rate", adam.rate, positive, |x| x > 0.0 && x <= 1.0)?;
+            check("final-rate", adam.final_rate, share, |x| (0.0..=1.0).contains(&x))?;
+            check("beta1", adam.beta1, decay, |x| (0.0..1.0).contains(&x))?;
+            check("beta2", adam.beta2, decay, |x| (0.0..1.0).contains(&x))?;
+            check("epsilon", adam.epsilon, "in 1e-20..=1", |x| (1e-20..=1.0).contains(&x))?;
+        }
+        for (name, value) in [
+            ("polish-axis-weight", self.polish.axis_weight),
+            ("polish-linear-weight", self.polish.linear_weight),
+        ] {
+            check(name, value, "in [0, 1000]", |x| (0.0..=1000.0).contains(&x))?;
+        }
+        check("warp-rate", self.warp.rate, positive, |x| x > 0.0 && x <= 1.0)
+    }
+}
+
+/// Whether a number keeps its rule.
+fn check(
+    name: &'static str,
+    value: f64,
+    rule: &'static str,
+    keeps: impl Fn(f64) -> bool,
+) -> Result<(), OptionsError> {
+    if keeps(value) { Ok(()) } else { Err(OptionsError::Range { name, value, rule }) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn presets_keep_the_rules_they_stand_for() {
+        for (preset, name) in Preset::ALL {
+            let options = preset.options();
+            assert_eq!(options.validate(), Ok(()), "{name}");
+            assert!(options.kernel.resolve(options.shape).is_ok(), "{name}");
+        }
+        let paper = Preset::Paper.options();
+        assert_eq!((paper.steps, paper.draw.draws, paper.draw.directions), (10_000, 4096, 1));
+        assert_eq!(paper.shape, TileShape::new(128, 128, 30, 1, 2).unwrap());
+    }
+
+    #[test]
+    fn numbers_outside_their_range_are_named() {
+        let with = |change: fn(&mut Options)| {
+            let mut options = Preset::Best.options();
+            change(&mut options);
+            options.validate().unwrap_err().to_string()
+        };
+        assert_eq!(with(|o| o.draw.draws = 0), "draws is 0, but it must be in 1..=2^30");
+        assert!(with(|o| o.adam.rate = f64::NAN).contains("rate is NaN"));
+        assert!(with(|o| o.adam.beta2 = 1.0).contains("beta2 is 1"));
+        assert!(with(|o| o.draw.axis_share = 0.8).contains("axis-share + pair-share is 1.1"));
+    }
+}

@@ -1,0 +1,201 @@
+//! The uniformity step: one smooth warp of the whole tile that makes its density uniform.
+//!
+//! Sliced transport on the bounded cube leaves its corners under-filled, a bias that no averaging
+//! removes. The warp moves all samples of the tile as one point set: along the two axes of a
+//! random frame in the plane of a pair of dimensions, it carries the distribution of projections
+//! to the one of the uniform density, and does so again for many frames (iterative distribution
+//! transfer, Pitié et al. 2005). The map depends on the place of a sample in the cube only, so
+//! neighbours in the cube stay neighbours, and the error's distribution over pixels survives.
+//!
+//! Distributions are integer histograms of fixed bins, which add up alike in one process and on
+//! a cluster.
+
+use perceptile_cluster::World;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use crate::draw::{DirectionSet, Stream, Use};
+use crate::gradient::simd::{Simd, Vectorized};
+use crate::solver::state::CellSamples;
+use crate::tile::{MAX_DIMS, clamp_coordinate};
+
+/// How the warp is done.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct WarpOptions {
+    /// Number of frames; 0 leaves the tile as it is.
+    pub frames: u32,
+    /// Share of the way that samples go for each frame, in (0, 1].
+    pub rate: f64,
+}
+
+/// Bins of a histogram of projections.
+const BINS: usize = 1024;
+
+/// Coordinates that a thread handles at a time; of no influence on the result.
+const CHUNK: usize = 1 << 14;
+
+/// Warps `samples` of `dims` dimensions towards uniform density.
+pub fn warp(
+    samples: &mut CellSamples,
+    dims: usize,
+    options: WarpOptions,
+    seed: u64,
+    world: World,
+    simd: Simd,
+) {
+    let set = DirectionSet::new(dims);
+    let chunk = CHUNK / dims * dims;
+    for frame in 0..options.frames {
+        let mut stream = Stream::new(seed, Use::Warp, frame, 0);
+        let angle = stream.unit();
+        let axes: Vec<Axis> = match dims {
+            1 => vec![Axis::new(set.axis(0).theta, dims)],
+            _ => {
+                let first = set.random_pair(angle, &mut stream).theta;
+                // Turned by a right angle in the plane of the same pair.
+                let mut second = [0.0; MAX_DIMS];
+                let mut pair = (0..dims).filter(|&k| first[k] != 0.0);
+                let (a, b) = match (pair.next(), pair.next()) {
+                    (Some(a), Some(b)) => (a, b),
+                    (Some(a), None) => (a, (a + 1) % dims),
+                    _ => (0, 1),
+                };
+                (second[a], second[b]) = (-first[b], first[a]);
+                vec![Axis::new(first, dims), Axis::new(second, dims)]
+            }
+        };
+        let mut counts = samples
+            .words
+            .par_chunks(chunk)
+            .map(|points| {
+                let mut counts = vec![0_i64; axes.len() * BINS];
+                for (axis, counts) in axes.iter().zip(counts.chunks_mut(BINS)) {
+                    simd.run(Count { axis, dims, points, counts });
+                }
+                counts
+            })
+            .reduce(
+                || vec![0; axes.len() * BINS],
+                |mut sum, part| {
+                    sum.iter_mut().zip(part).for_each(|(a, b)| *a += b);
+                    sum
+                },
+            );
+        world.sum(&mut counts);
+        let maps: Vec<Vec<f32>> = axes
+            .iter()
+            .zip(counts.chunks(BINS))
+            .map(|(axis, counts)| axis.displacements(counts, options.rate))
+            .collect();
+        samples.words.par_chunks_mut(chunk).for_each(|points| {
+            simd.run(Move { axes: &axes, maps: &maps, dims, points });
+        });
+    }
+}
+
+/// A direction with the ends of its projections.
+struct Axis {
+    theta: [f32; MAX_DIMS],
+    low: f32,
+    length: f32,
+    /// Bins per unit.
+    density: f32,
+}
+
+impl Axis {
+    fn new(theta: [f32; MAX_DIMS], dims: usize) -> Self {
+        let low: f32 = theta[..dims].iter().map(|x| x.min(0.0)).sum();
+        let length: f32 = theta[..dims].iter().map(|x| x.abs()).sum();
+        Self { theta, low, length, density: BINS as f32 / length }
+    }
+
+    /// Place of a point among the bins.
+    #[inline(always)]
+    fn place(&self, point: &[f32]) -> f32 {
+        let mut projection = 0.0;
+        for (k, &x) in point.iter().enumerate() {
+            projection += self.theta[k] * x;
+        }
+        ((projection - self.low) * self.density).clamp(0.0, BINS as f32)
+    }
+
+    /// How far to move the points at the edges of the bins.
+    fn displacements(&self, counts: &[i64], rate: f64) -> Vec<f32> {
+        let total: i64 = counts.iter().sum();
+        let mut below = 0_i64;
+        let mut at_edge = |edge: usize| {
+            let u = below as f64 / total.max(1) as f64;
+            if let Some(count) = counts.get(edge) {
+                below += count;
+            }
+            let place = f64::from(self.length) * edge as f64 / BINS as f64;
+            (rate * (self.quantile(u) - place)) as f32
+        };
+        (0..=BINS).map(&mut at_edge).collect()
+    }
+
+    /// Inverse CDF of the projected uniform density, from its lower end (a trapezoid, of which
+    /// `gradient::target` has the means).
+    fn quantile(&self, u: f64) -> f64 {
+        let (mut a, mut b) = (0.0_f64, 0.0_f64);
+        for x in self.theta.map(|x| f64::from(x.abs())) {
+            (a, b) = (a.max(x), b.max(a.min(x)));
+        }
+        let half = |u: f64| {
+            if u * 2.0 * a <= b { libm::sqrt(2.0 * a * b * u) } else { a * u + 0.5 * b }
+        };
+        if u <= 0.5 { half(u) } else { a + b - half(1.0 - u) }
+    }
+}
+
+/// Adds points to the histogram along an axis.
+struct Count<'a> {
+    axis: &'a Axis,
+    dims: usize,
+    points: &'a [f32],
+    counts: &'a mut [i64],
+}
+
+impl Vectorized for Count<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        for point in self.points.chunks_exact(self.dims) {
+            self.counts[(self.axis.place(point) as usize).min(BINS - 1)] += 1;
+        }
+    }
+}
+
+/// Moves points along all axes at once.
+struct Move<'a> {
+    axes: &'a [Axis],
+    maps: &'a [Vec<f32>],
+    dims: usize,
+    points: &'a mut [f32],
+}
+
+impl Vectorized for Move<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        for point in self.points.chunks_exact_mut(self.dims) {
+            let mut moved = [0.0_f32; MAX_DIMS];
+            let moved = &mut moved[..self.dims];
+            moved.copy_from_slice(point);
+            for (axis, map) in self.axes.iter().zip(self.maps) {
+                let place = axis.place(point);
+                let bin = (place as usize).min(BINS - 1);
+                let f = place - bin as f32;
+                let by = map[bin] + (map[bin + 1] - map[bin]) * f;
+                for (x, theta) in moved.iter_mut().zip(axis.theta) {
+                    *x += by * theta;
+                }
+            }
+            for (x, moved) in point.iter_mut().zip(moved) {
+                *x = clamp_coordinate(*moved);
+            }
+        }
+    }
+}
