@@ -187,8 +187,8 @@ impl Balls {
             // proportion that keeps its mean: second differences of the primitive.
             let mut weights = vec![0.0; 2 * n];
             weights[0] = primitive(1) / h;
-            for j in 1..n {
-                weights[j] = (primitive(j + 1) - 2.0 * primitive(j) + primitive(j - 1)) / h;
+            for (j, weight) in weights[..n].iter_mut().enumerate().skip(1) {
+                *weight = (primitive(j + 1) - 2.0 * primitive(j) + primitive(j - 1)) / h;
             }
             weights
         };

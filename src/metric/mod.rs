@@ -1,18 +1,29 @@
 //! What makes a tile good, in numbers.
 //!
 //! `integrand` draws the functions on which tiles are tried, `exact` knows their integrals;
-//! `perceived` measures the error that the eye sees through a kernel, `uniformity` how evenly the
-//! whole tile covers the cube. Lower is better throughout, and white noise stands at 1.
+//! `perceived` measures the error that the eye sees through a kernel (with `fourier`),
+//! `accumulation` what is left of it when frames are averaged, `uniformity` how evenly the whole
+//! tile covers the cube; `scores` puts them together. `spectrum` shows where the error's power
+//! is, `baseline` makes tiles to compare with, and `quantization` what integer textures make of a
+//! tile. Lower is better throughout, and white noise stands at 1.
 
+mod accumulation;
+mod baseline;
 mod exact;
 mod fourier;
 mod integrand;
 mod perceived;
+mod quantization;
 mod scores;
+mod spectrum;
 mod stream;
 mod uniformity;
 
+pub use accumulation::accumulated_mean_square;
+pub use baseline::{Baseline, UnknownBaseline};
 pub use integrand::{Class, Domain, Integrand, IntegrandSet, LEAST_VARIANCE, integrand_sets};
-pub use perceived::Perceived;
+pub use perceived::{MeanSquares, Perceived, PerceivedWorkspace};
+pub use quantization::quantized;
 pub use scores::{ClassScore, Ratio, ScoreError, ScoreOptions, Scorer, Scores};
+pub use spectrum::{ClassSpectra, Ring, Spectrum, spectra};
 pub use uniformity::{Histogram, histogram, residual};

@@ -94,7 +94,7 @@ impl Perceived {
     }
 
     /// Σ over (x, y) of (Σ over t of g)²: the accumulated mean square of white noise, times the
-    /// number of frames. 0 for a kernel that sees no still picture.
+    /// number of frames. Practically 0 for a kernel that sees no still picture.
     pub fn still_squares(&self) -> f64 {
         self.still_squares
     }
@@ -125,5 +125,127 @@ impl Perceived {
             perceived += still + (1..frames).map(energy).sum::<f64>();
         }
         MeanSquares { perceived, accumulated }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::IVec3;
+    use proptest::prelude::*;
+
+    use super::super::stream::Stream;
+    use super::*;
+    use crate::kernel::Tap;
+
+    /// Mean squares by the definition: every pixel, every tap.
+    fn by_convolution(shape: TileShape, kernel: &KernelTaps, errors: &[f32]) -> MeanSquares {
+        let (width, height, frames) = (shape.width(), shape.height(), shape.frames());
+        let wrap = |at: usize, offset: i32, size: usize| {
+            (at as i64 + i64::from(offset)).rem_euclid(size as i64) as usize
+        };
+        let filtered = |image: &dyn Fn(usize, usize, usize) -> f64| {
+            let mut total = 0.0;
+            for t in 0..frames {
+                for y in 0..height {
+                    for x in 0..width {
+                        let seen: f64 = kernel
+                            .taps()
+                            .iter()
+                            .map(|Tap { offset, weight }| {
+                                let x = wrap(x, offset.x, width);
+                                let y = wrap(y, offset.y, height);
+                                weight * image(x, y, wrap(t, offset.z, frames))
+                            })
+                            .sum();
+                        total += seen * seen;
+                    }
+                }
+            }
+            total / shape.pixels() as f64
+        };
+        let error = |x, y, t| f64::from(errors[shape.pixel(x, y, t)]);
+        MeanSquares {
+            perceived: filtered(&error),
+            accumulated: filtered(&|x, y, _| {
+                (0..frames).map(|t| error(x, y, t)).sum::<f64>() / frames as f64
+            }),
+        }
+    }
+
+    fn random_kernel(stream: &mut Stream, size: [usize; 3]) -> KernelTaps {
+        let mut taps = Vec::new();
+        for z in 0..size[2] as i32 {
+            for y in 0..size[1] as i32 {
+                for x in 0..size[0] as i32 {
+                    // Causal in time, around the pixel in space, of both signs.
+                    let offset = IVec3::new(x - size[0] as i32 / 2, y - 1, -z);
+                    taps.push(Tap { offset, weight: stream.range(-1.0, 1.0) });
+                }
+            }
+        }
+        KernelTaps::new(taps).unwrap()
+    }
+
+    fn close(a: f64, b: f64, scale: f64) -> bool {
+        (a - b).abs() <= 1e-6 * b + 1e-13 * scale
+    }
+
+    proptest! {
+        #[test]
+        fn parseval_agrees_with_the_convolution(
+            seed: u64,
+            width in 1_usize..9, height in 1_usize..8, frames in 1_usize..7,
+            kernel in [1_usize..=9, 1_usize..=8, 1_usize..=7],
+        ) {
+            let shape = TileShape::new(width, height, frames, 1, 1).unwrap();
+            let mut stream = Stream::new(&[seed]);
+            let size = [kernel[0].min(width), kernel[1].min(height), kernel[2].min(frames)];
+            let taps = random_kernel(&mut stream, size);
+            let errors: Vec<f32> =
+                (0..shape.pixels()).map(|_| stream.range(-1.0, 1.0) as f32).collect();
+            let perceived = Perceived::new(shape, &taps).unwrap();
+            let mut workspace = perceived.workspace();
+            let found = perceived.mean_squares(&mut errors.clone(), &mut workspace);
+            let expected = by_convolution(shape, &taps, &errors);
+            prop_assert!(close(found.perceived, expected.perceived, 1.0), "{found:?} {expected:?}");
+            prop_assert!(close(found.accumulated, expected.accumulated, 1.0));
+            // The workspace holds nothing that matters to the next image.
+            let again = perceived.mean_squares(&mut errors.clone(), &mut workspace);
+            prop_assert_eq!(found, again);
+            let squares: f64 = taps.taps().iter().map(|tap| tap.weight * tap.weight).sum();
+            prop_assert!((perceived.squares() - squares).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn what_a_kernel_hides_stays_hidden_to_ten_to_the_minus_thirteen() {
+        // A box over two pixels does not see a checkerboard: the sums in f32 may not show one.
+        let shape = TileShape::new(64, 32, 8, 1, 1).unwrap();
+        let pair = [0, 1].map(|x| Tap { offset: IVec3::new(x, 0, 0), weight: 0.5 });
+        let perceived = Perceived::new(shape, &KernelTaps::new(pair).unwrap()).unwrap();
+        let mut errors: Vec<f32> =
+            (0..shape.pixels()).map(|i| if i % 2 == 0 { 0.7 } else { -0.7 }).collect();
+        let found = perceived.mean_squares(&mut errors, &mut perceived.workspace());
+        assert!(found.perceived < 1e-13, "{found:?}");
+    }
+
+    #[test]
+    fn a_kernel_must_fit_the_tile() {
+        let shape = TileShape::new(8, 8, 4, 1, 2).unwrap();
+        let taps = |extent: i32| {
+            let tap = |z| Tap { offset: IVec3::new(0, 0, z), weight: 1.0 };
+            KernelTaps::new([tap(0), tap(1 - extent)]).unwrap()
+        };
+        assert!(Perceived::new(shape, &taps(4)).is_ok());
+        let error = Perceived::new(shape, &taps(5)).err().unwrap();
+        assert_eq!(error, ScoreError::Kernel { axis: "t", extent: 5, size: 4 });
+        assert_eq!(
+            error.to_string(),
+            "the kernel spans 5 in t, but the tile only 4: it must not be wider than the tile"
+        );
+        let far = Tap { offset: IVec3::new(i32::MIN, 0, 0), weight: 1.0 };
+        let near = Tap { offset: IVec3::new(i32::MAX, 0, 0), weight: 1.0 };
+        let taps = KernelTaps::new([far, near]).unwrap();
+        assert!(Perceived::new(shape, &taps).is_err());
     }
 }

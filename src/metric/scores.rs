@@ -4,6 +4,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+use super::accumulation::accumulated_mean_square;
 use super::integrand::{Class, Domain, Integrand, IntegrandSet, integrand_sets};
 use super::perceived::Perceived;
 use super::uniformity::{Histogram, histogram, residual};
@@ -57,6 +58,20 @@ impl Default for ScoreOptions {
     }
 }
 
+impl ScoreOptions {
+    /// Checks the options.
+    ///
+    /// # Errors
+    /// [`ScoreError::Integrands`] if their number is out of range.
+    pub fn validate(&self) -> Result<(), ScoreError> {
+        if (1..=MOST_INTEGRANDS).contains(&self.integrands) {
+            Ok(())
+        } else {
+            Err(ScoreError::Integrands(self.integrands))
+        }
+    }
+}
+
 /// A mean square relative to white noise's, over the integrands of a class: 1 is white noise.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Ratio {
@@ -68,10 +83,11 @@ pub struct Ratio {
 }
 
 impl Ratio {
-    fn of(ratios: impl ExactSizeIterator<Item = f64> + Clone) -> Self {
-        let n = ratios.len() as f64;
-        let mean = ratios.clone().sum::<f64>() / n;
-        let square: f64 = ratios.map(|ratio| (ratio - mean) * (ratio - mean)).sum();
+    /// Over the ratios of single integrands.
+    fn over<T>(items: &[T], ratio: impl Fn(&T) -> f64) -> Self {
+        let n = items.len() as f64;
+        let mean = items.iter().map(&ratio).sum::<f64>() / n;
+        let square: f64 = items.iter().map(|item| (ratio(item) - mean).powi(2)).sum();
         Self { mean, standard_error: (square / (n - 1.0).max(1.0) / n).sqrt() }
     }
 }
@@ -85,6 +101,14 @@ pub struct ClassScore {
     pub domain: Domain,
     /// The perceived-error ratio: mean over pixels of (g*e)² / (Var f · Σg² / spp).
     pub perceived: Ratio,
+    /// The error of each pixel's mean over half a period (⌊frames/2⌋ frames, from every start),
+    /// relative to as many independent samples. `None` for a tile of one frame.
+    pub half_period: Option<Ratio>,
+    /// The same over the whole period.
+    pub whole_period: Ratio,
+    /// The mean over the whole period as the kernel shows it: filtered in space. `None` for a
+    /// kernel that sees no still picture.
+    pub whole_period_perceived: Option<Ratio>,
     /// Bias·√N: rms over the integrands of (mean over the tile of e)/σ, times the root of the
     /// number of samples in the tile. White noise has 1, in expectation.
     pub bias: f64,
@@ -128,10 +152,12 @@ pub struct Scorer {
     sets: Vec<IntegrandSet>,
 }
 
-/// What is measured with one integrand.
+/// What is measured with one integrand: mean squares relative to white noise's.
 struct Measured {
     perceived: f64,
-    /// Squared bias relative to white noise's.
+    half_period: f64,
+    whole_period: f64,
+    whole_period_perceived: f64,
     bias: f64,
 }
 
@@ -145,9 +171,7 @@ impl Scorer {
         kernel: &KernelTaps,
         options: ScoreOptions,
     ) -> Result<Self, ScoreError> {
-        if !(1..=MOST_INTEGRANDS).contains(&options.integrands) {
-            return Err(ScoreError::Integrands(options.integrands));
-        }
+        options.validate()?;
         let perceived = Perceived::new(shape, kernel)?;
         let sets = integrand_sets(options.set, shape.dims(), options.integrands);
         Ok(Self { options, perceived, sets })
@@ -163,16 +187,23 @@ impl Scorer {
         if expected != found {
             return Err(ScoreError::Shape { expected, found });
         }
+        let half = expected.frames() / 2;
+        // Weights that cancel leave rounding behind, not exactly 0.
+        let sees_still = self.perceived.still_squares() > 1e-12 * self.perceived.squares();
         let mut biases = 0.0;
         let mut classes = Vec::with_capacity(self.sets.len());
         for set in &self.sets {
-            let measured = self.measure(tile, &set.integrands);
-            let bias = Ratio::of(measured.iter().map(|m| m.bias)).mean;
+            let measured = self.measure(tile, &set.integrands, half);
+            let over = |ratio: fn(&Measured) -> f64| Ratio::over(&measured, ratio);
+            let bias = over(|m| m.bias).mean;
             biases += bias;
             classes.push(ClassScore {
                 class: set.class,
                 domain: set.domain,
-                perceived: Ratio::of(measured.iter().map(|m| m.perceived)),
+                perceived: over(|m| m.perceived),
+                half_period: (half > 0).then(|| over(|m| m.half_period)),
+                whole_period: over(|m| m.whole_period),
+                whole_period_perceived: sees_still.then(|| over(|m| m.whole_period_perceived)),
                 bias: bias.sqrt(),
             });
         }
@@ -187,22 +218,172 @@ impl Scorer {
         })
     }
 
-    fn measure(&self, tile: &Tile, integrands: &[Integrand]) -> Vec<Measured> {
+    fn measure(&self, tile: &Tile, integrands: &[Integrand], half: usize) -> Vec<Measured> {
         let shape = tile.shape();
+        let frames = shape.frames();
         integrands
             .par_iter()
             .map_init(
                 || (vec![0.0_f32; shape.pixels()], self.perceived.workspace()),
                 |(errors, workspace), f| {
                     let bias = f.errors(tile, errors);
-                    let squares = self.perceived.mean_squares(errors, workspace);
                     let white = f.variance() / shape.spp() as f64;
+                    let period = |window: usize| match window {
+                        0 => 0.0,
+                        _ => accumulated_mean_square(shape, errors, window) * window as f64 / white,
+                    };
+                    let (half_period, whole_period) = (period(half), period(frames));
+                    let squares = self.perceived.mean_squares(errors, workspace);
                     Measured {
                         perceived: squares.perceived / (white * self.perceived.squares()),
+                        half_period,
+                        whole_period,
+                        whole_period_perceived: squares.accumulated * frames as f64
+                            / (white * self.perceived.still_squares()),
                         bias: bias * bias / f.variance() * shape.samples() as f64,
                     }
                 },
             )
             .collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::IVec3;
+
+    use super::super::baseline::Baseline;
+    use super::*;
+    use crate::kernel::Tap;
+
+    const FEW: ScoreOptions = ScoreOptions { set: 7, integrands: 24 };
+
+    fn kernel(weights: &[f64]) -> KernelTaps {
+        let taps = weights.iter().enumerate().flat_map(|(t, &weight)| {
+            [-1, 0, 1].map(|x| Tap { offset: IVec3::new(x, 0, -(t as i32)), weight })
+        });
+        KernelTaps::new(taps).unwrap()
+    }
+
+    /// Every ratio of a score with its name.
+    fn ratios(score: &ClassScore) -> Vec<(&'static str, f64)> {
+        let mut all = vec![
+            ("perceived", score.perceived.mean),
+            ("whole period", score.whole_period.mean),
+            ("bias", score.bias),
+        ];
+        all.extend(score.half_period.map(|r| ("half period", r.mean)));
+        all.extend(score.whole_period_perceived.map(|r| ("filtered", r.mean)));
+        all
+    }
+
+    #[test]
+    fn white_noise_scores_one_in_every_column() {
+        for (spp, dims) in [(1, 2), (2, 1), (1, 4)] {
+            let shape = TileShape::new(32, 32, 9, spp, dims).unwrap();
+            let scorer = Scorer::new(shape, &kernel(&[2.0, -1.0, 0.5]), FEW).unwrap();
+            let tiles = 8;
+            let mut sums = vec![vec![0.0; 5]; if dims > 2 { 10 } else { 5 }];
+            for seed in 0..tiles {
+                let scores = scorer.score(&Baseline::White.tile(shape, seed)).unwrap();
+                for (sums, score) in sums.iter_mut().zip(&scores.classes) {
+                    for (sum, (name, ratio)) in sums.iter_mut().zip(ratios(score)) {
+                        // The bias is a root, and few integrands share one tile's luck.
+                        *sum += if name == "bias" { ratio * ratio } else { ratio } / tiles as f64;
+                    }
+                }
+            }
+            for (sums, score) in sums.iter().zip(&scorer.sets) {
+                let class = score.class;
+                assert!((sums[0] - 1.0).abs() < 0.06, "{class} perceived {sums:?}");
+                assert!((sums[1] - 1.0).abs() < 0.1, "{class} whole {sums:?}");
+                assert!((sums[2] - 1.0).abs() < 0.9, "{class} bias {sums:?}");
+                assert!((sums[3] - 1.0).abs() < 0.1, "{class} half {sums:?}");
+                assert!((sums[4] - 1.0).abs() < 0.2, "{class} filtered {sums:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_still_tile_accumulates_nothing() {
+        // The same frame again and again: the mean over n frames is as bad as one.
+        let shape = TileShape::new(32, 32, 8, 1, 2).unwrap();
+        let frame = Baseline::White.tile(TileShape::new(32, 32, 1, 1, 2).unwrap(), 5);
+        let still = Tile::new(shape, frame.samples().repeat(8)).unwrap();
+        let scores = Scores::of(&still, &kernel(&[1.0, 1.0]), FEW).unwrap();
+        for score in &scores.classes {
+            assert!((score.half_period.unwrap().mean - 4.0).abs() < 0.4, "{score:?}");
+            assert!((score.whole_period.mean - 8.0).abs() < 0.8, "{score:?}");
+            // Seen through a box over two equal frames, the error is twice white noise's.
+            assert!((score.perceived.mean - 2.0).abs() < 0.3, "{score:?}");
+        }
+        assert!((scores.residual - 8.0_f64.sqrt()).abs() < 0.2);
+    }
+
+    #[test]
+    fn several_samples_are_compared_with_as_many_independent_ones() {
+        let shape = TileShape::new(16, 16, 4, 16, 2).unwrap();
+        let kernel = kernel(&[1.0, 0.5]);
+        let score = |baseline: Baseline| {
+            Scores::of(&baseline.tile(shape, 1), &kernel, FEW).unwrap().classes
+        };
+        for (sobol, white) in score(Baseline::Sobol).iter().zip(score(Baseline::White)) {
+            assert!((white.perceived.mean - 1.0).abs() < 0.15, "{white:?}");
+            // 16 points of a net: smooth functions gain 16-fold and more, edges about fourfold.
+            assert!(sobol.perceived.mean < 0.35, "{sobol:?}");
+        }
+    }
+
+    #[test]
+    fn the_threads_do_not_change_a_score() {
+        let shape = TileShape::new(16, 8, 4, 1, 3).unwrap();
+        let tile = Baseline::White.tile(shape, 1);
+        let scores = [1, 3].map(|threads| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| Scores::of(&tile, &kernel(&[1.0]), FEW).unwrap())
+        });
+        assert_eq!(scores[0], scores[1]);
+    }
+
+    #[test]
+    fn one_frame_and_kernels_that_see_no_still_picture_leave_columns_out() {
+        let shape = TileShape::new(16, 8, 1, 1, 2).unwrap();
+        let scores = Scores::of(&Baseline::White.tile(shape, 1), &kernel(&[1.0]), FEW).unwrap();
+        assert!(scores.classes.iter().all(|score| score.half_period.is_none()));
+        let shape = TileShape::new(16, 8, 4, 1, 2).unwrap();
+        let flicker = kernel(&[1.0, -1.0]);
+        let scores = Scores::of(&Baseline::White.tile(shape, 1), &flicker, FEW).unwrap();
+        for score in &scores.classes {
+            assert!(score.whole_period_perceived.is_none());
+            assert!((score.perceived.mean - 1.0).abs() < 0.3, "{score:?}");
+        }
+    }
+
+    #[test]
+    fn wrong_numbers_and_shapes_are_refused() {
+        let shape = TileShape::new(8, 8, 2, 1, 2).unwrap();
+        for integrands in [0, 65_537] {
+            let options = ScoreOptions { set: 0, integrands };
+            let error = Scorer::new(shape, &kernel(&[1.0]), options).err().unwrap();
+            assert_eq!(error, ScoreError::Integrands(integrands));
+        }
+        let other = TileShape::new(8, 8, 3, 1, 2).unwrap();
+        let scorer = Scorer::new(shape, &kernel(&[1.0]), FEW).unwrap();
+        let error = scorer.score(&Baseline::White.tile(other, 1)).unwrap_err();
+        assert_eq!(error, ScoreError::Shape { expected: shape, found: other });
+    }
+
+    #[test]
+    fn scores_survive_json() {
+        let shape = TileShape::new(8, 8, 2, 1, 3).unwrap();
+        let scores = Scores::of(&Baseline::White.tile(shape, 1), &kernel(&[1.0]), FEW).unwrap();
+        let text = serde_json::to_string(&scores).unwrap();
+        assert!(text.contains("\"axis_edge\"") && text.contains("\"pairs\""), "{text}");
+        let back: Scores = serde_json::from_str(&text).unwrap();
+        assert_eq!(back.classes.len(), 10);
+        let bias = back.class(Class::Bump, Domain::Pairs).unwrap().bias;
+        assert!(
+            (bias / scores.class(Class::Bump, Domain::Pairs).unwrap().bias - 1.0).abs() < 1e-12
+        );
     }
 }

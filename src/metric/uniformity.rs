@@ -84,3 +84,64 @@ pub fn residual(tile: &Tile) -> Vec<f64> {
         })
         .collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::baseline::Baseline;
+    use super::*;
+    use crate::tile::TileShape;
+
+    #[test]
+    fn a_grid_is_even_and_a_hole_shows() {
+        // 256 samples, one in each cell; then one moves into its neighbour's.
+        let shape = TileShape::new(16, 16, 1, 1, 2).unwrap();
+        let mut samples: Vec<f32> = (0..256)
+            .flat_map(|i| [(i % 16) as f32 / 16.0, (i / 16) as f32 / 16.0 + 0.06])
+            .collect();
+        let even = histogram(&Tile::new(shape, samples.clone()).unwrap());
+        assert_eq!(even, Histogram { smallest: 1.0, largest: 1.0, rms: 0.0 });
+        samples[0] += 1.0 / 16.0;
+        let hole = histogram(&Tile::new(shape, samples).unwrap());
+        let rms = (2.0_f64 / 256.0).sqrt();
+        assert_eq!(hole, Histogram { smallest: 0.0, largest: 2.0, rms });
+    }
+
+    #[test]
+    fn every_pair_of_dimensions_counts() {
+        // Dimensions 0 and 1 are stratified together, 2 repeats 1: only that pair is uneven.
+        let shape = TileShape::new(16, 16, 1, 1, 3).unwrap();
+        let samples = (0..256)
+            .flat_map(|i| [i % 16, i / 16, i / 16].map(|cell| (cell as f32 + 0.5) / 16.0))
+            .collect();
+        let found = histogram(&Tile::new(shape, samples).unwrap());
+        assert_eq!((found.smallest, found.largest), (0.0, 16.0));
+        // In that pair 16 cells have 16 times their share, 240 nothing; two pairs are perfect.
+        assert!((found.rms - 5.0_f64.sqrt()).abs() < 1e-12, "{found:?}");
+    }
+
+    #[test]
+    fn one_dimension_has_sixteen_cells() {
+        let shape = TileShape::new(32, 1, 1, 1, 1).unwrap();
+        let samples = (0..32).map(|i| i as f32 / 32.0).collect();
+        let found = histogram(&Tile::new(shape, samples).unwrap());
+        assert_eq!(found, Histogram { smallest: 1.0, largest: 1.0, rms: 0.0 });
+    }
+
+    #[test]
+    fn residuals_are_relative_to_independent_samples() {
+        let shape = TileShape::new(64, 64, 8, 2, 3).unwrap();
+        for residual in residual(&Baseline::White.tile(shape, 3)) {
+            // 4096 pixels: a standard error of 1.1 %.
+            assert!((residual - 1.0).abs() < 0.05, "{residual}");
+        }
+        // 16 samples of a pixel that stratify each dimension: the mean of 16 jittered strata has
+        // a sixteenth of the standard deviation.
+        for residual in residual(&Baseline::Sobol.tile(shape, 3)) {
+            assert!((residual * 16.0 - 1.0).abs() < 0.05, "{residual}");
+        }
+        let shape = TileShape::new(2, 1, 3, 1, 1).unwrap();
+        let still = Tile::new(shape, [0.75, 0.25].repeat(3)).unwrap();
+        let expected = 0.25 * (12.0_f64 * 3.0).sqrt();
+        assert!((residual(&still)[0] - expected).abs() < 1e-12);
+    }
+}

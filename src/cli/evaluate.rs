@@ -1,0 +1,360 @@
+//! `perceptile evaluate`: how good tiles are, ours and others', in one table.
+
+mod table;
+
+use std::collections::HashSet;
+use std::fs;
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use indicatif::{ProgressBar, ProgressStyle};
+use perceptile::format::picture::Image;
+use perceptile::format::png::Channels;
+use perceptile::format::source::TileSource;
+use perceptile::format::write::{self, Existing};
+use perceptile::kernel::KernelSpec;
+use perceptile::metric::{
+    Baseline, Class, ClassSpectra, Domain, ScoreOptions, Scorer, Scores, Spectrum, quantized,
+    spectra,
+};
+use perceptile::tile::{Tile, TileShape};
+use serde::Serialize;
+
+/// Seed of the comparison tiles.
+const BASELINE_SEED: u64 = 1;
+
+/// Score tiles: perceived error, uniformity, accumulation, quantization.
+///
+/// All scores are relative to white noise, which has 1, and lower is better. They are means over
+/// random integrands; compare tiles only on the same set, and judge them on sets that nothing was
+/// tuned on. Under each tile, the line "÷ NAME" divides its scores by those of the tile that it is
+/// compared with.
+#[derive(Debug, clap::Args)]
+pub struct EvaluateArgs {
+    /// The tiles: .npy files, vertical strips of PNG slices, or folders of PNG slices.
+    #[arg(value_name = "TILE", required = true)]
+    tiles: Vec<PathBuf>,
+
+    /// The kernel through which error is seen; of a mixture, its first class.
+    #[arg(long, value_name = "SPEC", default_value = "gaussian(2.1) * fovvideovdp(60) @ 7x7x8")]
+    kernel: KernelSpec,
+
+    /// Print JSON.
+    #[arg(long)]
+    json: bool,
+
+    /// Integrands of each class, 1 to 65536.
+    #[arg(long, value_name = "N", default_value_t = ScoreOptions::default().integrands)]
+    integrands: usize,
+
+    /// Number of the set of integrands.
+    #[arg(long, value_name = "N", default_value_t = ScoreOptions::default().set)]
+    set: u64,
+
+    /// Comparison tiles to add, in the shape of the first tile: white, sobol (scrambled after
+    /// Owen, independently in each pixel), or both with a comma.
+    #[arg(long, value_name = "LIST", value_delimiter = ',')]
+    baselines: Vec<Baseline>,
+
+    /// The tile that the others are compared with [default: the first].
+    #[arg(long, value_name = "TILE")]
+    against: Option<PathBuf>,
+
+    /// Folder for power spectra of the error, PNG files NAME-CLASS-xy.png and -xt.png: frequency 0
+    /// is in the centre, time runs down, and brightness is amplitude, white noise's mid-gray. It
+    /// is made if the folder around it exists.
+    #[arg(long, value_name = "DIR")]
+    spectra: Option<PathBuf>,
+
+    /// Dimensions to take of every tile, in order, such as `rg` (r, g, b, a are 0, 1, 2, 3).
+    #[arg(long)]
+    channels: Option<Channels>,
+
+    /// Samples per pixel of the tiles, where their files do not say them.
+    #[arg(long)]
+    spp: Option<usize>,
+
+    /// Frames of the tiles, where their files do not say them.
+    #[arg(long)]
+    frames: Option<usize>,
+
+    /// Replace pictures of spectra that exist.
+    #[arg(long)]
+    force: bool,
+}
+
+/// All that the command found out, as `--json` prints it.
+#[derive(Debug, Serialize)]
+struct Report {
+    /// The kernel's text form.
+    kernel: String,
+    options: ScoreOptions,
+    /// Name of the tile that the others are compared with.
+    against: String,
+    tiles: Vec<Entry>,
+}
+
+/// One tile.
+#[derive(Debug, Serialize)]
+struct Entry {
+    name: String,
+    /// Where it was read; `None` for a comparison tile.
+    path: Option<PathBuf>,
+    shape: TileShape,
+    scores: Scores,
+    after_8_bits: Scores,
+    after_16_bits: Scores,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    spectra: Option<Vec<ClassSpectra>>,
+}
+
+/// A tile that waits for its scores.
+struct Candidate {
+    name: String,
+    path: Option<PathBuf>,
+    tile: Tile,
+}
+
+/// Scores the tiles and prints what came out.
+///
+/// # Errors
+/// A tile that cannot be read, a kernel that does not fit one, options out of range, spectra that
+/// exist without `--force` or cannot be written.
+pub fn run(args: EvaluateArgs) -> Result<(), anyhow::Error> {
+    let options = ScoreOptions { set: args.set, integrands: args.integrands };
+    options.validate()?;
+    let candidates = candidates(&args)?;
+    let existing = Existing::from_force(args.force);
+    if let Some(folder) = &args.spectra {
+        write::make_folder(folder)?;
+        let outputs = candidates.iter().flat_map(|candidate| {
+            Domain::of(candidate.tile.shape().dims())
+                .iter()
+                .flat_map(|&domain| Class::ALL.map(|class| (class, domain)))
+                .flat_map(|(class, domain)| {
+                    ["xy", "xt"].map(|plane| picture(folder, &candidate.name, class, domain, plane))
+                })
+        });
+        write::probe(outputs, existing)?;
+    }
+    let progress = progress(candidates.len());
+    let mut tiles = Vec::new();
+    for candidate in candidates {
+        progress.set_message(candidate.name.clone());
+        let entry = evaluate(candidate, &args.kernel, options, args.spectra.is_some(), &progress)?;
+        if let Some(folder) = &args.spectra {
+            save_spectra(folder, &entry, existing)?;
+        }
+        tiles.push(entry);
+    }
+    progress.finish_and_clear();
+    // The tile to compare with is always put first.
+    let against = tiles[0].name.clone();
+    let report = Report { kernel: args.kernel.to_string(), options, against, tiles };
+    print(&if args.json {
+        serde_json::to_string_pretty(&report)? + "\n"
+    } else {
+        table::table(&report)
+    })
+}
+
+/// Reads the tiles and makes the comparison tiles; the one to compare with comes first.
+fn candidates(args: &EvaluateArgs) -> Result<Vec<Candidate>, anyhow::Error> {
+    let mut paths = args.tiles.clone();
+    if let Some(against) = &args.against {
+        // Given as one of the tiles as well, it is not scored twice.
+        paths.retain(|path| !same_file(path, against));
+        paths.insert(0, against.clone());
+    }
+    let mut names = HashSet::new();
+    let mut unused = |stem: String| {
+        let name = (1..)
+            .map(|n| if n == 1 { stem.clone() } else { format!("{stem}-{n}") })
+            .find(|name| !names.contains(name))
+            .expect("there is always a larger number");
+        names.insert(name.clone());
+        name
+    };
+    let mut candidates = Vec::new();
+    for path in paths {
+        let source = TileSource {
+            path,
+            channels: args.channels.clone(),
+            spp: args.spp,
+            frames: args.frames,
+        };
+        let tile = source.read()?;
+        // A folder's name has no extension, whatever dots it contains.
+        let stem =
+            if source.path.is_dir() { source.path.file_name() } else { source.path.file_stem() };
+        let name = unused(stem.unwrap_or("tile".as_ref()).to_string_lossy().into_owned());
+        candidates.push(Candidate { name, path: Some(source.path), tile });
+    }
+    let shape = candidates[0].tile.shape();
+    for &baseline in &args.baselines {
+        let tile = baseline.tile(shape, BASELINE_SEED);
+        candidates.push(Candidate { name: unused(baseline.to_string()), path: None, tile });
+    }
+    Ok(candidates)
+}
+
+/// Whether two paths lead to one file.
+fn same_file(a: &Path, b: &Path) -> bool {
+    a == b || matches!((fs::canonicalize(a), fs::canonicalize(b)), (Ok(a), Ok(b)) if a == b)
+}
+
+fn evaluate(
+    candidate: Candidate,
+    kernel: &KernelSpec,
+    options: ScoreOptions,
+    with_spectra: bool,
+    progress: &ProgressBar,
+) -> Result<Entry, anyhow::Error> {
+    let Candidate { name, path, tile } = candidate;
+    let shape = tile.shape();
+    let context = || format!("cannot score {name}, a tile of {shape}");
+    let kernel = kernel.resolve(shape).with_context(context)?;
+    let scorer = Scorer::new(shape, &kernel.classes()[0].taps, options).with_context(context)?;
+    let score = |tile: &Tile| {
+        let scores = scorer.score(tile);
+        progress.inc(1);
+        scores
+    };
+    Ok(Entry {
+        scores: score(&tile)?,
+        after_8_bits: score(&quantized(&tile, 8))?,
+        after_16_bits: score(&quantized(&tile, 16))?,
+        spectra: with_spectra.then(|| spectra(&tile, options)).transpose()?,
+        name,
+        path,
+        shape,
+    })
+}
+
+/// A bar on the standard error; without a terminal there, nothing.
+fn progress(tiles: usize) -> ProgressBar {
+    let style = ProgressStyle::with_template("{bar:30} {pos}/{len} scores, {eta} left: {msg}")
+        .expect("a valid template");
+    // A tile is scored as it is, and after two quantizations.
+    ProgressBar::new(3 * tiles as u64).with_style(style)
+}
+
+/// Where a spectrum is saved.
+fn picture(folder: &Path, name: &str, class: Class, domain: Domain, plane: &str) -> PathBuf {
+    let class = class.to_string().replace(' ', "-");
+    let pairs = if domain == Domain::Pairs { "-pairs" } else { "" };
+    folder.join(format!("{name}-{class}{pairs}-{plane}.png"))
+}
+
+fn save_spectra(folder: &Path, entry: &Entry, existing: Existing) -> Result<(), anyhow::Error> {
+    for spectra in entry.spectra.iter().flatten() {
+        for (plane, spectrum) in [("xy", &spectra.xy), ("xt", &spectra.xt)] {
+            let path = picture(folder, &entry.name, spectra.class, spectra.domain, plane);
+            draw(spectrum)?.save(&path, existing)?;
+        }
+    }
+    Ok(())
+}
+
+/// Amplitude as brightness, white noise's in the middle: the square root keeps apart the low
+/// powers that matter.
+fn draw(spectrum: &Spectrum) -> Result<Image, anyhow::Error> {
+    let gray = |x: usize, y: usize| {
+        (127.5 * spectrum.power[y * spectrum.width + x].sqrt()).min(255.0) as u8
+    };
+    Ok(Image::gray(spectrum.width, spectrum.height, gray)?)
+}
+
+/// Writes to the standard output; that its reader went away is no error.
+fn print(text: &str) -> Result<(), anyhow::Error> {
+    let mut out = io::stdout().lock();
+    match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
+        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
+            Err(error).context("cannot write to the standard output")
+        }
+        _ => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+    use perceptile::metric::Ring;
+
+    use super::*;
+
+    #[derive(Debug, Parser)]
+    struct Command {
+        #[command(flatten)]
+        args: EvaluateArgs,
+    }
+
+    fn parse(line: &[&str]) -> EvaluateArgs {
+        Command::try_parse_from([&["evaluate"], line].concat()).unwrap().args
+    }
+
+    /// A tile of white noise saved under `name`.
+    fn save(folder: &Path, name: &str, seed: u64) -> String {
+        let path = folder.join(name);
+        let tile = Baseline::White.tile(TileShape::new(8, 8, 8, 1, 2).unwrap(), seed);
+        let mut file = fs::File::create(&path).unwrap();
+        perceptile::format::npy::write_tile(&tile, &mut file).unwrap();
+        path.to_str().unwrap().to_owned()
+    }
+
+    #[test]
+    fn the_tile_to_compare_with_comes_first_and_names_are_unique() {
+        let folder = tempfile::tempdir().unwrap();
+        fs::create_dir(folder.path().join("old")).unwrap();
+        let [a, b, old, white] = ["a.npy", "b.npy", "old/a.npy", "white.npy"]
+            .map(|name| save(folder.path(), name, name.len() as u64));
+        let names = |line: &[&str]| -> Vec<String> {
+            candidates(&parse(line)).unwrap().into_iter().map(|c| c.name).collect()
+        };
+        assert_eq!(names(&[&a, &b, &old]), ["a", "b", "a-2"]);
+        assert_eq!(names(&[&a, &b, "--against", &b]), ["b", "a"]);
+        assert_eq!(names(&[&a, "--against", &old]), ["a", "a-2"]);
+        assert_eq!(
+            names(&[&a, &white, "--baselines", "white,sobol"]),
+            ["a", "white", "white-2", "sobol"]
+        );
+    }
+
+    #[test]
+    fn nonsense_is_refused() {
+        for (line, words) in [
+            (&["a.npy", "--baselines", "halton"][..], "there are: white, sobol"),
+            (&["a.npy", "--kernel", "gaussian(-1)"], "gaussian"),
+            (&[], "TILE"),
+        ] {
+            let error = Command::try_parse_from([&["evaluate"], line].concat()).unwrap_err();
+            assert!(error.to_string().contains(words), "{error}");
+        }
+        assert!(run(parse(&["a.npy", "--integrands", "0"])).is_err());
+        assert!(run(parse(&["/nowhere/a.npy"])).is_err());
+    }
+
+    #[test]
+    fn spectra_are_saved_and_never_overwritten_without_force() {
+        let folder = tempfile::tempdir().unwrap();
+        let tile = save(folder.path(), "a.npy", 1);
+        let pictures = folder.path().join("spectra");
+        let line = [&tile, "--integrands", "2", "--json", "--spectra", pictures.to_str().unwrap()];
+        run(parse(&line)).unwrap();
+        let count = fs::read_dir(&pictures).unwrap().count();
+        assert_eq!(count, 10);
+        assert!(pictures.join("a-axis-edge-xt.png").is_file());
+        let error = run(parse(&line)).unwrap_err();
+        assert!(error.to_string().contains("exist"), "{error}");
+        run(parse(&[&line[..], &["--force"]].concat())).unwrap();
+    }
+
+    #[test]
+    fn white_noise_is_drawn_in_mid_gray() {
+        let radial = vec![Ring { frequency: 0.0, power: 1.0 }];
+        let power = vec![0.0, 1.0, 0.01, 100.0];
+        let picture = draw(&Spectrum { width: 2, height: 2, power, radial }).unwrap();
+        assert_eq!(picture.data(), [0, 127, 12, 255]);
+    }
+}

@@ -1,0 +1,164 @@
+//! Scores of tiles whose scores are known without measuring them.
+
+use glam::IVec3;
+use perceptile::kernel::{KernelTaps, Tap};
+use perceptile::metric::{Baseline, Class, Domain, ScoreOptions, Scorer, Scores};
+use perceptile::tile::{Tile, TileShape};
+use proptest::prelude::*;
+
+/// The first 8 of the 15 taps of the perception kernel at 60 frames per second.
+const PERCEPTION: [f64; 8] = [
+    0.0395582850655909,
+    0.398409765599820,
+    0.404689211439515,
+    0.177879764807883,
+    0.0419136195197315,
+    -0.00678276096076438,
+    -0.0170052838869954,
+    -0.0150087151111371,
+];
+
+/// Gaussian of standard deviation 2.1 on 7×7 pixels × perception on 8 frames.
+fn perception_kernel() -> KernelTaps {
+    let taps = PERCEPTION.iter().zip(0..).flat_map(|(&in_time, age)| {
+        (-3..=3).flat_map(move |dy| {
+            (-3..=3).map(move |dx| {
+                let squared = f64::from(dx * dx + dy * dy);
+                let in_space = (-squared / (2.0 * 2.1 * 2.1)).exp();
+                Tap { offset: IVec3::new(dx, dy, -age), weight: in_space * in_time }
+            })
+        })
+    });
+    KernelTaps::new(taps).unwrap()
+}
+
+/// Σ over p of g(p)·g(p + lag).
+fn autocorrelation(kernel: &KernelTaps, lag: IVec3) -> f64 {
+    let taps = kernel.taps();
+    taps.iter()
+        .flat_map(|a| taps.iter().filter(move |b| b.offset == a.offset + lag).map(move |b| (a, b)))
+        .map(|(a, b)| a.weight * b.weight)
+        .sum()
+}
+
+fn perceived(scores: &Scores, class: Class) -> f64 {
+    scores.class(class, Domain::All).unwrap().perceived.mean
+}
+
+#[test]
+fn white_noise_has_one_and_the_histogram_of_its_number() {
+    let shape = TileShape::new(64, 64, 16, 1, 2).unwrap();
+    let tile = Baseline::White.tile(shape, 12);
+    let options = ScoreOptions { set: 1, integrands: 64 };
+    let scores = Scores::of(&tile, &perception_kernel(), options).unwrap();
+    for score in &scores.classes {
+        // One tile's perceived mean square has some 2·65536·(share of frequencies that pass)
+        // degrees of freedom, about a thousand.
+        assert!((score.perceived.mean - 1.0).abs() < 0.15, "{score:?}");
+        assert!((score.half_period.unwrap().mean - 1.0).abs() < 0.05, "{score:?}");
+        assert!((score.whole_period.mean - 1.0).abs() < 0.1, "{score:?}");
+    }
+    // 256 samples to a cell, so 1/16 of rms.
+    assert!((scores.histogram.rms - 0.0625).abs() < 0.01, "{:?}", scores.histogram);
+    assert!((scores.residual - 1.0).abs() < 0.05, "{}", scores.residual);
+    assert!((0.1..2.5).contains(&scores.bias), "{}", scores.bias);
+}
+
+#[test]
+fn mirrored_neighbours_score_what_the_kernels_autocorrelation_says() {
+    // Pairs of neighbours at u and 1 − u: linear errors are opposite, so of the filtered square
+    // Σ gᵢgⱼ E[eᵢeⱼ] the terms one pixel apart count −1 wherever the two are a pair, half the time.
+    let kernel = perception_kernel();
+    let along = |lag: IVec3| {
+        (autocorrelation(&kernel, IVec3::ZERO) - autocorrelation(&kernel, lag))
+            / autocorrelation(&kernel, IVec3::ZERO)
+    };
+    let shape = TileShape::new(64, 64, 16, 1, 2).unwrap();
+    let white = Baseline::White.tile(shape, 3);
+    for (axis, step) in [(IVec3::X, 1), (IVec3::Y, 64), (IVec3::Z, 64 * 64)] {
+        let samples = (0..shape.coordinates())
+            .map(|i| {
+                let x = white.samples()[i - i / 2 / step % 2 * 2 * step];
+                // The smallest 1 − u is 2⁻²⁴, as u is below 1; u = 0 has no mirror image.
+                if i / 2 / step % 2 == 0 { x } else { (1.0 - x).min(1.0 - f32::EPSILON / 2.0) }
+            })
+            .collect();
+        let tile = Tile::new(shape, samples).unwrap();
+        let options = ScoreOptions { set: 1, integrands: 32 };
+        let found = perceived(&Scores::of(&tile, &kernel, options).unwrap(), Class::Linear);
+        let expected = along(axis);
+        assert!((found / expected - 1.0).abs() < 0.2, "{axis}: {found}, expected {expected}");
+    }
+}
+
+#[test]
+fn stratified_pixels_score_one_over_their_number_squared() {
+    // n scrambled points of one dimension are one jittered point per stratum: their mean has
+    // 1/n² of the variance of n independent ones, and pixels are independent of each other, so
+    // that the kernel changes nothing.
+    for spp in [2, 4, 8] {
+        let shape = TileShape::new(32, 32, 8, spp, 1).unwrap();
+        let tile = Baseline::Sobol.tile(shape, 5);
+        let tap = Tap { offset: IVec3::ZERO, weight: 1.0 };
+        let kernel = KernelTaps::new([tap]).unwrap();
+        let options = ScoreOptions { set: 2, integrands: 4 };
+        let scores = Scores::of(&tile, &kernel, options).unwrap();
+        let expected = 1.0 / (spp * spp) as f64;
+        let found = perceived(&scores, Class::Linear);
+        assert!((found / expected - 1.0).abs() < 0.05, "{spp}: {found}, expected {expected}");
+        // A pixel's frames continue its sequence: over all of them, 1/(8·spp)², of 1024 pixels.
+        let found = scores.class(Class::Linear, Domain::All).unwrap().whole_period.mean;
+        assert!((found / expected * 64.0 - 1.0).abs() < 0.2, "{spp}: {found}");
+    }
+}
+
+/// The tile moved by `(dx, dy, dt)` with wrapping.
+fn moved(tile: &Tile, by: [usize; 3]) -> Tile {
+    let shape = tile.shape();
+    let mut samples = Vec::with_capacity(shape.coordinates());
+    for t in 0..shape.frames() {
+        for y in 0..shape.height() {
+            for x in 0..shape.width() {
+                let from = [
+                    (x + by[0]) % shape.width(),
+                    (y + by[1]) % shape.height(),
+                    (t + by[2]) % shape.frames(),
+                ];
+                for s in 0..shape.spp() {
+                    samples.extend(tile.point(from[0], from[1], from[2], s));
+                }
+            }
+        }
+    }
+    Tile::new(shape, samples).unwrap()
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+
+    #[test]
+    fn a_tile_scores_the_same_wherever_it_starts(
+        width in 7_usize..14, height in 7_usize..12, frames in 8_usize..11,
+        spp in 1_usize..3, dims in 1_usize..4, by: [u8; 3], seed: u64,
+    ) {
+        let shape = TileShape::new(width, height, frames, spp, dims).unwrap();
+        let tile = Baseline::White.tile(shape, seed);
+        let options = ScoreOptions { set: seed, integrands: 2 };
+        let scorer = Scorer::new(shape, &perception_kernel(), options).unwrap();
+        let here = scorer.score(&tile).unwrap();
+        let there = scorer.score(&moved(&tile, by.map(usize::from))).unwrap();
+        let close = |a: f64, b: f64| (a - b).abs() <= 1e-5 * b.abs() + 1e-9;
+        for (a, b) in here.classes.iter().zip(&there.classes) {
+            prop_assert!(close(a.perceived.mean, b.perceived.mean), "{a:?} {b:?}");
+            prop_assert!(close(a.whole_period.mean, b.whole_period.mean));
+            prop_assert!(close(a.half_period.unwrap().mean, b.half_period.unwrap().mean));
+            let filtered = |score: &perceptile::metric::ClassScore| {
+                score.whole_period_perceived.unwrap().mean
+            };
+            prop_assert!(close(filtered(a), filtered(b)));
+            prop_assert!(close(a.bias, b.bias));
+        }
+        prop_assert_eq!(here.histogram, there.histogram);
+        prop_assert!(close(here.residual, there.residual));
+    }
+}
