@@ -12,7 +12,7 @@ use perceptile::format::sidecar::{self, Sidecar};
 use perceptile::format::source::TileSource;
 use perceptile::format::write::Existing;
 use perceptile::gradient::simd::Simd;
-use perceptile::metric::{ScoreOptions, Scorer, Scores};
+use perceptile::metric::{Domain, ScoreOptions, Scorer, Scores};
 use perceptile::run::memory;
 use perceptile::run::observer::{Observer, Progress};
 use perceptile::run::outputs::Outputs;
@@ -246,13 +246,10 @@ fn print_summary(
     if let Some(scores) = scores {
         println!("scores      (white noise is 1, lower is better)");
         for class in &scores.classes {
+            let pairs = if class.domain == Domain::Pairs { ", pairs" } else { "" };
+            let name = format!("{}{pairs}", class.class);
             let perceived = class.perceived;
-            println!(
-                "  {:22} {:.4} +- {:.4}",
-                class.label(),
-                perceived.mean,
-                perceived.standard_error
-            );
+            println!("  {name:22} {:.4} +- {:.4}", perceived.mean, perceived.standard_error);
         }
         let histogram = scores.histogram;
         println!("  {:22} {:.2}", "bias * sqrt(N)", scores.bias);

@@ -211,13 +211,16 @@ impl Settings {
         let unreadable = || format!("cannot read {}", path.display());
         let size = std::fs::metadata(path).with_context(unreadable)?.len();
         if size > MAX_BYTES {
-            let message =
-                format!("{} has {size} bytes, but settings have at most {MAX_BYTES}", path.display());
+            let message = format!(
+                "{} has {size} bytes, but settings have at most {MAX_BYTES}",
+                path.display()
+            );
             return Err(Misuse(message).into());
         }
         let text = std::fs::read_to_string(path).with_context(unreadable)?;
-        toml::from_str(&text)
-            .map_err(|error| Misuse(format!("{}: {error}", path.display()).trim_end().into()).into())
+        toml::from_str(&text).map_err(|error| {
+            Misuse(format!("{}: {error}", path.display()).trim_end().into()).into()
+        })
     }
 
     /// These settings, and those of `other` where there are none.
@@ -226,9 +229,31 @@ impl Settings {
             ($($name:ident),*) => { Self { $($name: self.$name.or(other.$name)),* } };
         }
         first!(
-            preset, tile, spp, dims, kernel, seed, start, steps, stop_after, draws, directions,
-            threshold_range, axis_share, pair_share, rate, final_rate, beta1, beta2, epsilon,
-            polish, polish_rate, polish_axis_weight, polish_linear_weight, warp, warp_rate
+            preset,
+            tile,
+            spp,
+            dims,
+            kernel,
+            seed,
+            start,
+            steps,
+            stop_after,
+            draws,
+            directions,
+            threshold_range,
+            axis_share,
+            pair_share,
+            rate,
+            final_rate,
+            beta1,
+            beta2,
+            epsilon,
+            polish,
+            polish_rate,
+            polish_axis_weight,
+            polish_linear_weight,
+            warp,
+            warp_rate
         )
     }
 

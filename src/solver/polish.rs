@@ -176,7 +176,7 @@ impl Polish {
             let planes = planes(samples, shape.spp() * shape.dims());
             pulls.fill(0.0);
             // The rows of frame t: where each pair's other row starts.
-            (0..shape.frames()).into_iter().for_each(|t| {
+            (0..shape.frames()).for_each(|t| {
                 let words: Vec<(i32, f32)> = pairs
                     .iter()
                     .map(|pair| {

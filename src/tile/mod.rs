@@ -18,6 +18,7 @@ pub const BELOW_ONE: f32 = 1.0 - f32::EPSILON / 2.0;
 ///
 /// Values below 0 (and −0) become +0, values of 1 and above the largest `f32` below 1.
 #[inline(always)]
+#[allow(clippy::manual_clamp, reason = "`clamp` would let NaN through, this turns it into 0")]
 pub fn clamp_coordinate(x: f32) -> f32 {
     // `max` alone may return −0 for −0; adding +0 turns −0 into +0 and keeps all else.
     x.max(0.0).min(BELOW_ONE) + 0.0
