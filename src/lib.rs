@@ -1,4 +1,38 @@
-//! Perceptile: spatio-temporal sample tiles for Monte Carlo animation rendering.
+//! Perceptile precomputes spatio-temporal sample tiles for Monte Carlo animation rendering.
+//!
+//! A renderer that reads its random numbers from such a tile has the same error in every pixel,
+//! arranged so that the eye and the renderer's temporal filter see far less of it. The method is
+//! that of Korać et al., "Perceptual error optimization for Monte Carlo animation rendering"
+//! (SIGGRAPH Asia 2023): stochastic gradient descent with Adam on filtered sliced Wasserstein
+//! distances.
+//!
+//! ```text
+//!  kernel ──► draw ──► gradient ──► solver ──► run ──► format      tile.npy, .json, .png
+//!  spec→taps  cells'    project,     patches    phases, files
+//!             draws     rank, pull   → Adam     observer
+//!                 ╲        ╱           │                └─► metric  scores, spectra
+//!                   tile: shape, cells, halos (all index arithmetic)
+//! ```
+//!
+//! Arrows run one way. A step of the solver is one protocol, whatever it runs on: every cell's
+//! draws fill a private integer patch, patches are added up across halos, Adam moves the samples
+//! into the other half of the state, halos are refreshed, and the step commits
+//! ([`solver::Descent::step`]).
+//!
+//! ```
+//! use perceptile::gradient::simd::Simd;
+//! use perceptile::run::{observer::Unobserved, phases::optimize};
+//! use perceptile::solver::Preset;
+//! use perceptile::tile::TileShape;
+//!
+//! let mut options = Preset::Quick.options();
+//! options.shape = TileShape::new(16, 16, 8, 1, 2)?;
+//! options.steps = 100;
+//! let (tile, summary) = optimize(&options, None, Simd::detect(), &mut Unobserved)?;
+//! assert_eq!(tile.samples().len(), 16 * 16 * 8 * 2);
+//! assert!(summary.objective_after < summary.objective_before);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 pub mod draw;
 pub mod format;
