@@ -93,6 +93,7 @@ pub fn run(args: OptimizeArgs) -> anyhow::Result<ExitCode> {
     options.validate()?;
     memory::check(&options)?;
     let kernel = options.kernel.resolve(options.shape)?;
+    options.check_kernel(&kernel)?;
     if args.dry_run {
         print_plan(&options);
         return Ok(ExitCode::SUCCESS);

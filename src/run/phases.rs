@@ -67,6 +67,7 @@ impl<'a> Run<'a> {
     fn new(options: &'a Options, start: Option<&Tile>, simd: Simd) -> Result<Self, OptionsError> {
         let world = World::Local;
         let kernel = options.kernel.resolve(options.shape)?;
+        options.check_kernel(&kernel)?;
         let partition = Partition::new(options.shape, levels(&kernel).reach(), world.size());
         let samples = match (options.start, start) {
             (Start::Random, None) => start::random(&partition, options.seed, world),

@@ -15,7 +15,7 @@ mod step;
 mod summary;
 pub mod warp;
 
-pub use options::{Options, OptionsError, Preset, Start};
+pub use options::{MAX_POLISH_TAPS, Options, OptionsError, Preset, Start};
 pub use state::CellSamples;
 pub use step::Descent;
 pub use summary::{Phase, StopReason, Summary};

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::draw::DrawOptions;
-use crate::kernel::{KernelError, KernelSpec};
+use crate::kernel::{Kernel, KernelError, KernelSpec};
 use crate::solver::adam::AdamOptions;
 use crate::solver::polish::PolishOptions;
 use crate::solver::warp::WarpOptions;
@@ -73,6 +73,14 @@ pub enum OptionsError {
         /// Directions of a draw.
         directions: usize,
     },
+    /// The kernel is too large for the polish, which compares all pairs of its taps.
+    #[error(
+        "a kernel of {taps} taps is too large for the polish, which takes at most {MAX_POLISH_TAPS}: set the polish to 0 steps"
+    )]
+    Polish {
+        /// Taps of the largest class.
+        taps: usize,
+    },
     /// The tile given to start from has another shape.
     #[error("the starting tile is {found}, but the run makes a tile of {expected}")]
     Start {
@@ -85,6 +93,9 @@ pub enum OptionsError {
     #[error("a start from a tile and a starting tile belong together")]
     StartMissing,
 }
+
+/// Most taps of a kernel in the polish: it then takes a second or two to set up.
+pub const MAX_POLISH_TAPS: usize = 4096;
 
 /// Ready-made options.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -173,6 +184,20 @@ const PERCEPTION_TAA: &str =
     "0.9: gaussian(2.1) * fovvideovdp(60) * ema(0.2) @ 7x7x15 + 0.1: column";
 
 impl Options {
+    /// Checks that a run can do with a kernel what these options ask for.
+    ///
+    /// # Errors
+    /// A kernel too large for the polish.
+    pub fn check_kernel(&self, kernel: &Kernel) -> Result<(), OptionsError> {
+        let sizes = kernel.classes().iter().map(|class| class.taps.taps().len());
+        match sizes.max() {
+            Some(taps) if taps > MAX_POLISH_TAPS && self.polish.steps > 0 => {
+                Err(OptionsError::Polish { taps })
+            }
+            _ => Ok(()),
+        }
+    }
+
     /// Checks every number against its range.
     ///
     /// # Errors
