@@ -4,7 +4,7 @@ mod table;
 
 use std::collections::HashSet;
 use std::fs;
-use std::io::{self, Write};
+
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
@@ -20,6 +20,8 @@ use perceptile::metric::{
 };
 use perceptile::tile::{Tile, TileShape};
 use serde::Serialize;
+
+use super::print;
 
 /// Seed of the comparison tiles.
 const BASELINE_SEED: u64 = 1;
@@ -264,17 +266,6 @@ fn draw(spectrum: &Spectrum) -> Result<Image, anyhow::Error> {
         (127.5 * spectrum.power[y * spectrum.width + x].sqrt()).min(255.0) as u8
     };
     Ok(Image::gray(spectrum.width, spectrum.height, gray)?)
-}
-
-/// Writes to the standard output; that its reader went away is no error.
-fn print(text: &str) -> Result<(), anyhow::Error> {
-    let mut out = io::stdout().lock();
-    match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
-        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
-            Err(error).context("cannot write to the standard output")
-        }
-        _ => Ok(()),
-    }
 }
 
 #[cfg(test)]

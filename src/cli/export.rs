@@ -76,12 +76,11 @@ pub fn run(args: ExportArgs) -> Result<()> {
     };
     write::make_folder(&args.out)?;
     let paths = write_slices(&tile, options, &args.out, &stem, Existing::from_force(args.force))?;
-    match &paths[..] {
-        [path] => println!("{}", path.display()),
+    super::print(&match &paths[..] {
         [first, .., last] => {
-            println!("{} … {} ({} files)", first.display(), last.display(), paths.len());
+            format!("{} … {} ({} files)\n", first.display(), last.display(), paths.len())
         }
-        [] => {}
-    }
-    Ok(())
+        [path] => format!("{}\n", path.display()),
+        [] => String::new(),
+    })
 }

@@ -1,14 +1,15 @@
 //! `perceptile kernel`: what a kernel description means, in numbers and as a picture.
 
 use std::fmt::Write as _;
-use std::fs::OpenOptions;
-use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
 
-use anyhow::Context;
+use perceptile::format::picture::Image;
+use perceptile::format::write::Existing;
 use perceptile::kernel::{Kernel, KernelClass, KernelSpec, ResolveProblem, Tap, picture};
-use perceptile::tile::TileShape;
 use serde::Serialize;
+
+use super::print;
+use super::settings::TileSize;
 
 /// Taps listed per class without `--all`.
 const LISTED: usize = 20;
@@ -32,8 +33,8 @@ pub struct KernelArgs {
     pub spec: KernelSpec,
 
     /// Size of the tile that the kernel is for; column and frame need it
-    #[arg(long, value_name = "WxHxF", value_parser = parse_tile)]
-    pub tile: Option<TileShape>,
+    #[arg(long, value_name = "WxHxF")]
+    pub tile: Option<TileSize>,
 
     /// List every tap instead of the 20 largest
     #[arg(long)]
@@ -58,7 +59,8 @@ pub struct KernelArgs {
 /// A kernel that cannot be made or does not fit the tile, and a picture that cannot be written.
 pub fn run(args: KernelArgs) -> Result<(), anyhow::Error> {
     let kernel = match args.tile {
-        Some(shape) => args.spec.resolve(shape)?,
+        // Samples per pixel and dimensions do not matter to a kernel.
+        Some(size) => args.spec.resolve(size.shape(1, 1)?)?,
         None => args.spec.resolve_without_tile().map_err(|error| {
             let needs_tile = error.problem == ResolveProblem::NeedsTile;
             let error = anyhow::Error::new(error);
@@ -74,7 +76,7 @@ pub fn run(args: KernelArgs) -> Result<(), anyhow::Error> {
     print(&text)?;
     let default = (!args.json).then(|| PathBuf::from("kernel.png"));
     if let Some(path) = args.out.or(default) {
-        write_picture(&kernel, &path, args.force)?;
+        write_picture(&kernel, &path, Existing::from_force(args.force))?;
         if !args.json {
             print(&format!("\npicture: {}\n", path.display()))?;
         }
@@ -82,39 +84,11 @@ pub fn run(args: KernelArgs) -> Result<(), anyhow::Error> {
     Ok(())
 }
 
-/// Reads `WIDTHxHEIGHTxFRAMES`; samples per pixel and dimensions do not matter to a kernel.
-fn parse_tile(text: &str) -> Result<TileShape, String> {
-    let sizes: Option<Vec<usize>> = text.split('x').map(|size| size.parse().ok()).collect();
-    let Some(&[width, height, frames]) = sizes.as_deref() else {
-        return Err("expected WIDTHxHEIGHTxFRAMES, such as 64x64x16".to_owned());
-    };
-    TileShape::new(width, height, frames, 1, 1).map_err(|error| error.to_string())
-}
-
-/// Writes to the standard output; that its reader went away is no error.
-fn print(text: &str) -> io::Result<()> {
-    let mut out = io::stdout().lock();
-    match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
-        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
-        result => result,
-    }
-}
-
-fn write_picture(kernel: &Kernel, path: &Path, force: bool) -> Result<(), anyhow::Error> {
-    let mut options = OpenOptions::new();
-    options.write(true);
-    // Whether it exists is asked in opening it, so that no one can come between.
-    let options =
-        if force { options.create(true).truncate(true) } else { options.create_new(true) };
-    let png = picture(kernel).png()?;
-    let mut file = options.open(path).map_err(|error| {
-        if error.kind() == io::ErrorKind::AlreadyExists {
-            anyhow::anyhow!("`{}` exists: choose another --out, or --force", path.display())
-        } else {
-            anyhow::Error::new(error).context(format!("cannot write `{}`", path.display()))
-        }
-    })?;
-    file.write_all(&png).with_context(|| format!("cannot write `{}`", path.display()))
+fn write_picture(kernel: &Kernel, path: &Path, existing: Existing) -> Result<(), anyhow::Error> {
+    let picture = picture(kernel);
+    let (width, height) = (picture.width(), picture.height());
+    Image::new(width, height, 3, picture.into_rgb())?.save(path, existing)?;
+    Ok(())
 }
 
 /// The JSON form.

@@ -8,8 +8,10 @@ mod kernel;
 mod optimize;
 mod settings;
 
+use std::io::{self, Write};
 use std::process::ExitCode;
 
+use anyhow::Context;
 use clap::{Parser, Subcommand};
 
 use perceptile::format::write::WriteError;
@@ -54,6 +56,17 @@ pub fn main() -> ExitCode {
         eprintln!("error: {error:#}");
         ExitCode::from(exit_code(&error))
     })
+}
+
+/// Writes to the standard output; that its reader went away is no error.
+fn print(text: &str) -> anyhow::Result<()> {
+    let mut out = io::stdout().lock();
+    match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
+        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
+            Err(error).context("cannot write to the standard output")
+        }
+        _ => Ok(()),
+    }
 }
 
 /// The exit codes of failures, in one place.

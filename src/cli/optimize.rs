@@ -20,8 +20,8 @@ use perceptile::run::phases;
 use perceptile::run::signals::Signals;
 use perceptile::solver::{Options, Phase, StopReason, Summary};
 
-use super::Misuse;
 use super::settings::Settings;
+use super::{Misuse, print};
 
 /// Make a sample tile
 ///
@@ -95,7 +95,7 @@ pub fn run(args: OptimizeArgs) -> anyhow::Result<ExitCode> {
     let kernel = options.kernel.resolve(options.shape)?;
     options.check_kernel(&kernel)?;
     if args.dry_run {
-        print_plan(&options);
+        print(&plan(&options))?;
         return Ok(ExitCode::SUCCESS);
     }
     let existing = Existing::from_force(args.force);
@@ -145,7 +145,7 @@ pub fn run(args: OptimizeArgs) -> anyhow::Result<ExitCode> {
         scores: serde_json::json!(scores),
     };
     outputs.write(&tile, &provenance, existing)?;
-    print_summary(&options, &summary, scores.as_ref(), &outputs, seconds);
+    print(&report(&options, &summary, scores.as_ref(), &outputs, seconds))?;
     Ok(signals.received().map_or(ExitCode::SUCCESS, |code| ExitCode::from(code as u8)))
 }
 
@@ -209,60 +209,66 @@ fn progress_bar() -> ProgressBar {
 }
 
 /// What `--dry-run` prints.
-fn print_plan(options: &Options) {
-    println!("tile        {}", options.shape);
-    println!("kernel      {}", options.kernel);
-    println!(
+fn plan(options: &Options) -> String {
+    let mut text = String::new();
+    let mut line = |words: String| text += &(words + "\n");
+    line(format!("tile        {}", options.shape));
+    line(format!("kernel      {}", options.kernel));
+    line(format!(
         "work        {} steps of {} draws, {} full-batch steps, {} warp frames",
         options.steps, options.draw.draws, options.polish.steps, options.warp.frames
-    );
-    println!("memory      {} MB", memory::foreseen(options) >> 20);
-    println!("tile file   {:.1} MB", (options.shape.coordinates() * 4) as f64 / 1e6);
+    ));
+    line(format!("memory      {} MB", memory::foreseen(options) >> 20));
+    line(format!("tile file   {:.1} MB", (options.shape.coordinates() * 4) as f64 / 1e6));
+    text
 }
 
 /// What a run prints when it is over.
-fn print_summary(
+fn report(
     options: &Options,
     summary: &Summary,
     scores: Option<&Scores>,
     outputs: &Outputs,
     seconds: f64,
-) {
+) -> String {
+    let mut text = String::new();
+    let mut line = |words: String| text += &(words + "\n");
     let reason = match summary.reason {
         StopReason::Completed => "all steps done",
         StopReason::StopAfter => "stopped where asked",
         StopReason::Interrupted => "interrupted: this is the tile so far",
         StopReason::Time => "time is up: this is the tile so far",
     };
-    println!("{}: {reason}, {} steps in {seconds:.1} s", options.shape, summary.steps);
+    line(format!("{}: {reason}, {} steps in {seconds:.1} s", options.shape, summary.steps));
     if let (Some(before), Some(after)) = (summary.objective_before, summary.objective_after) {
-        println!("objective   {before:.6} -> {after:.6} (mean W2^2 of a draw)");
+        line(format!("objective   {before:.6} -> {after:.6} (mean W2^2 of a draw)"));
     }
     let phases: Vec<String> = summary
         .seconds
         .iter()
         .map(|(phase, seconds)| format!("{} {seconds:.1} s", phase.name()))
         .collect();
-    println!("phases      {}", phases.join(", "));
+    line(format!("phases      {}", phases.join(", ")));
     if let Some(scores) = scores {
-        println!("scores      (white noise is 1, lower is better)");
+        line("scores      (white noise is 1, lower is better)".into());
         for class in &scores.classes {
             let pairs = if class.domain == Domain::Pairs { ", pairs" } else { "" };
             let name = format!("{}{pairs}", class.class);
             let perceived = class.perceived;
-            println!("  {name:22} {:.4} +- {:.4}", perceived.mean, perceived.standard_error);
+            line(format!("  {name:22} {:.4} +- {:.4}", perceived.mean, perceived.standard_error));
         }
         let histogram = scores.histogram;
-        println!("  {:22} {:.2}", "bias * sqrt(N)", scores.bias);
-        println!(
+        line(format!("  {:22} {:.2}", "bias * sqrt(N)", scores.bias));
+        line(format!(
             "  {:22} {:.2}-{:.2} (rms {:.3})",
             "histogram", histogram.smallest, histogram.largest, histogram.rms
-        );
-        println!("  {:22} {:.3}", "residual", scores.residual);
+        ));
+        line(format!("  {:22} {:.3}", "residual", scores.residual));
     }
-    println!("tile        {}", outputs.tile.display());
-    println!("picture     {}", outputs.picture.display());
-    println!("provenance  {}", outputs.sidecar.display());
+    line(format!("tile        {}", outputs.tile.display()));
+    line(format!("picture     {}", outputs.picture.display()));
+    line(format!("provenance  {}", outputs.sidecar.display()));
+    text
 }
 
 /// Reads `90s`, `10m`, `2h` or a number of seconds.

@@ -18,7 +18,7 @@ mod taps;
 
 pub use factor::perception_taps;
 pub use parse::ParseError;
-pub use picture::{Picture, PictureError, picture};
+pub use picture::{Picture, picture};
 pub use resolve::{Dropped, Kernel, KernelClass, KernelError, MAX_TAPS, ResolveProblem};
 pub use response::Response;
 pub use spec::{

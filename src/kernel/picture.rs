@@ -10,7 +10,6 @@
 use std::collections::HashMap;
 
 use glam::IVec3;
-use thiserror::Error;
 
 use crate::kernel::resolve::Kernel;
 use crate::kernel::response::Response;
@@ -55,11 +54,6 @@ pub struct Picture {
     rgb: Vec<u8>,
 }
 
-/// Why a picture could not be encoded.
-#[derive(Debug, Error)]
-#[error("cannot encode the picture: {0}")]
-pub struct PictureError(#[from] png::EncodingError);
-
 /// Draws the kernel.
 pub fn picture(kernel: &Kernel) -> Picture {
     let bands: Vec<Picture> = kernel.classes().iter().map(|class| band(&class.taps)).collect();
@@ -87,19 +81,9 @@ impl Picture {
         self.height
     }
 
-    /// The bytes of a PNG file.
-    ///
-    /// # Errors
-    /// Those of the encoder.
-    pub fn png(&self) -> Result<Vec<u8>, PictureError> {
-        let mut bytes = Vec::new();
-        let mut encoder = png::Encoder::new(&mut bytes, self.width as u32, self.height as u32);
-        encoder.set_color(png::ColorType::Rgb);
-        encoder.set_depth(png::BitDepth::Eight);
-        let mut writer = encoder.write_header()?;
-        writer.write_image_data(&self.rgb)?;
-        writer.finish()?;
-        Ok(bytes)
+    /// The pixels' red, green and blue, row by row from the top.
+    pub fn into_rgb(self) -> Vec<u8> {
+        self.rgb
     }
 
     fn new(width: usize, height: usize) -> Self {
@@ -286,15 +270,11 @@ mod tests {
     }
 
     #[test]
-    fn any_kernel_has_a_picture_that_reads_back() {
+    fn any_kernel_has_a_picture() {
         for spec in ["none", "column", "frame", "gaussian(20) @ 99%", "1: ema(0.2) + 2: box(100)"] {
             let picture = draw(spec);
-            let bytes = picture.png().unwrap();
-            let mut reader = png::Decoder::new(std::io::Cursor::new(bytes)).read_info().unwrap();
-            let mut pixels = vec![0; reader.output_buffer_size().unwrap()];
-            let info = reader.next_frame(&mut pixels).unwrap();
-            assert_eq!((info.width, info.height), (picture.width as u32, picture.height as u32));
-            assert!(pixels == picture.rgb, "{spec}");
+            assert!(count(&picture, PAPER) < picture.width() * picture.height(), "{spec}");
+            assert_eq!(picture.width() * picture.height() * 3, picture.into_rgb().len(), "{spec}");
         }
     }
 
