@@ -127,16 +127,17 @@ impl Preset {
     /// Its options.
     pub fn options(self) -> Options {
         let (size, steps, polish) = match self {
-            Self::Best => ((64, 64, 16), 4_000, 150),
-            Self::Quick => ((64, 64, 16), 600, 0),
-            Self::Salaun => ((64, 64, 16), 3_000, 0),
-            Self::Paper | Self::PaperTaa => ((128, 128, 30), 10_000, 30),
+            Self::Best => ((64, 64, 16), 6_000, 150),
+            Self::Quick => ((64, 64, 16), 500, 30),
+            Self::Salaun => ((64, 64, 16), 3_000, 50),
+            Self::Paper | Self::PaperTaa => ((128, 128, 30), 10_000, 40),
         };
         let kernel = match self {
             Self::Best | Self::Quick | Self::Paper => PERCEPTION,
             Self::PaperTaa => PERCEPTION_TAA,
             Self::Salaun => "gaussian(2.1) @ 7x7x1",
         };
+        let paper = matches!(self, Self::Paper | Self::PaperTaa);
         let (width, height, frames) = size;
         Options {
             shape: TileShape::new(width, height, frames, 1, 2).expect("sizes within the limits"),
@@ -147,13 +148,13 @@ impl Preset {
             stop_after: None,
             draw: DrawOptions {
                 draws: 4096,
-                directions: 1,
-                threshold_range: 0.9,
-                axis_share: 0.05,
+                directions: if paper { 1 } else { 2 },
+                threshold_range: 0.75,
+                axis_share: 0.1,
                 pair_share: 0.3,
             },
             adam: AdamOptions {
-                rate: 0.005,
+                rate: 0.02,
                 final_rate: 0.0,
                 beta1: 0.9,
                 beta2: 0.99,
@@ -161,17 +162,17 @@ impl Preset {
             },
             polish: PolishOptions {
                 steps: polish,
-                axis_weight: 0.2,
-                linear_weight: 0.0,
+                axis_weight: 0.15,
+                linear_weight: 1.0,
                 adam: AdamOptions {
-                    rate: 0.002,
+                    rate: 0.02,
                     final_rate: 0.0,
                     beta1: 0.9,
                     beta2: 0.99,
                     epsilon: 1e-8,
                 },
             },
-            warp: WarpOptions { frames: 300, rate: 0.5 },
+            warp: WarpOptions { frames: 400, rate: 0.5 },
         }
     }
 }

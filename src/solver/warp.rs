@@ -28,8 +28,9 @@ pub struct WarpOptions {
     pub rate: f64,
 }
 
-/// Bins of a histogram of projections.
-const BINS: usize = 1024;
+/// Bins of a histogram of projections. More would make the density smoother still, but follow the
+/// chance of single samples and so disturb their strata (1,024 bins: axis edges 6 % worse).
+const BINS: usize = 256;
 
 /// Coordinates that a thread handles at a time; of no influence on the result.
 const CHUNK: usize = 1 << 14;
