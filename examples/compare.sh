@@ -64,10 +64,10 @@ for case in 'spp 4' 'spp 16' 'dims 3' 'dims 4' 'dims 8'; do
         "$dir/$what$count.npy" "$dir/$what$count-spatial.npy"
 done
 
-column='0.1: column'
-make ablation-gaussian --kernel "0.9: gaussian(2.1) * gaussian_t(2.1) @ 7x7x8 + $column"
-make ablation-taa --kernel "0.9: gaussian(2.1) * ema(0.2) @ 7x7x15 + $column"
-make ablation-full --kernel "0.9: $taa + $column"
+still='0.06: column + 0.1: box(8)'
+make ablation-gaussian --kernel "0.84: gaussian(2.1) * gaussian_t(2.1) @ 7x7x8 + $still"
+make ablation-taa --kernel "0.84: gaussian(2.1) * ema(0.2) @ 7x7x15 + $still"
+make ablation-full --kernel "0.84: $taa + $still"
 mapfile -t ablation < <(tiles ablation-full ablation-taa ablation-gaussian)
 score 'Ablation: full kernel, TAA only, Gaussian, all behind the full kernel' "$taa" '' \
     "${ablation[@]}"
