@@ -12,6 +12,7 @@ use perceptile::format::sidecar::{self, Sidecar};
 use perceptile::format::source::TileSource;
 use perceptile::format::write::Existing;
 use perceptile::gradient::simd::Simd;
+use perceptile::kernel::Kernel;
 use perceptile::metric::{Domain, ScoreOptions, Scorer, Scores};
 use perceptile::run::memory;
 use perceptile::run::observer::{Observer, Progress};
@@ -91,11 +92,11 @@ pub fn run(args: OptimizeArgs) -> anyhow::Result<ExitCode> {
     };
     let (options, start) = settings.clone().options()?;
     options.validate()?;
-    memory::check(&options)?;
     let kernel = options.kernel.resolve(options.shape)?;
     options.check_kernel(&kernel)?;
+    memory::check(&options, &kernel)?;
     if args.dry_run {
-        print(&plan(&options))?;
+        print(&plan(&options, &kernel))?;
         return Ok(ExitCode::SUCCESS);
     }
     let existing = Existing::from_force(args.force);
@@ -209,7 +210,7 @@ fn progress_bar() -> ProgressBar {
 }
 
 /// What `--dry-run` prints.
-fn plan(options: &Options) -> String {
+fn plan(options: &Options, kernel: &Kernel) -> String {
     let mut text = String::new();
     let mut line = |words: String| text += &(words + "\n");
     line(format!("tile        {}", options.shape));
@@ -218,7 +219,7 @@ fn plan(options: &Options) -> String {
         "work        {} steps of {} draws, {} full-batch steps, {} warp frames",
         options.steps, options.draw.draws, options.polish.steps, options.warp.frames
     ));
-    line(format!("memory      {} MB", memory::foreseen(options) >> 20));
+    line(format!("memory      {} MB", memory::foreseen(options, kernel) >> 20));
     line(format!("tile file   {:.1} MB", (options.shape.coordinates() * 4) as f64 / 1e6));
     text
 }

@@ -2,7 +2,10 @@
 
 use thiserror::Error;
 
+use crate::kernel::Kernel;
+use crate::run::phases::levels;
 use crate::solver::Options;
+use crate::tile::{Partition, Reach};
 
 /// A run that does not fit into this machine's memory.
 #[derive(Debug, Error, Clone, Copy, PartialEq, Eq)]
@@ -14,23 +17,36 @@ pub struct MemoryError {
     pub free: u64,
 }
 
-/// Bytes that a run of these options takes, roughly.
+/// Bytes that a run of these options takes, from the sizes of what it keeps.
 ///
-/// Per coordinate: the samples and both moments of Adam twice over, the gradient and the two
-/// mailboxes of the halo exchange, each of four bytes and with halos that may double their size
-/// (nearly 20 words); and once more the samples in cell order and as a tile.
-pub fn foreseen(options: &Options) -> u64 {
-    const WORDS: u64 = 22;
+/// Words of four bytes: the descent has the samples of all blocks twice, their gradient, and two
+/// mailboxes for halos; the polish has the samples of its larger blocks three times and a mailbox.
+/// Both have Adam's two moments twice, and the samples in cell order and as a tile.
+pub fn foreseen(options: &Options, kernel: &Kernel) -> u64 {
     const FIXED: u64 = 16 << 20;
-    FIXED.saturating_add((options.shape.coordinates() as u64).saturating_mul(WORDS * 4))
+    let Options { shape, polish, .. } = options;
+    let reach = levels(kernel).reach();
+    let partition = Partition::new(*shape, reach, 1);
+    let tile = shape.pixels() as u64;
+    let descent = partition.block_pixels() as u64;
+    let wide = if polish.steps > 0 { reach.doubled() } else { Reach::default() };
+    let polish = partition.with_reach(wide).block_pixels() as u64;
+    let words = u64::max(
+        descent.saturating_mul(5).saturating_sub(tile.saturating_mul(2)),
+        polish.saturating_mul(4),
+    );
+    words
+        .saturating_add(tile.saturating_mul(7))
+        .saturating_mul((shape.spp() * shape.dims() * size_of::<f32>()) as u64)
+        .saturating_add(FIXED)
 }
 
 /// Whether a run of these options fits into the memory that is free.
 ///
 /// # Errors
 /// If it does not. Where the system does not say what is free, every run fits.
-pub fn check(options: &Options) -> Result<(), MemoryError> {
-    let needed = foreseen(options);
+pub fn check(options: &Options, kernel: &Kernel) -> Result<(), MemoryError> {
+    let needed = foreseen(options, kernel);
     match free() {
         Some(free) if needed > free => Err(MemoryError { needed, free }),
         _ => Ok(()),

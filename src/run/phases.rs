@@ -69,6 +69,7 @@ impl<'a> Run<'a> {
         let kernel = options.kernel.resolve(options.shape)?;
         options.check_kernel(&kernel)?;
         let partition = Partition::new(options.shape, levels(&kernel).reach(), world.size());
+        options.check_partition(&partition)?;
         let samples = match (options.start, start) {
             (Start::Random, None) => start::random(&partition, options.seed, world),
             (Start::Stratified, None) => start::stratified(&partition, options.seed, world),
@@ -166,7 +167,7 @@ impl<'a> Run<'a> {
 }
 
 /// The level sets of all classes of a kernel.
-fn levels(kernel: &Kernel) -> LevelSets {
+pub(crate) fn levels(kernel: &Kernel) -> LevelSets {
     LevelSets::new(kernel.classes().iter().map(|class| (class.weight, &class.taps)))
 }
 

@@ -26,6 +26,14 @@ pub struct Reach {
     pub down: usize,
 }
 
+impl Reach {
+    /// How far apart two samples of one draw can be.
+    pub fn doubled(&self) -> Self {
+        let (across, down) = (self.left + self.right, self.up + self.down);
+        Self { left: across, right: across, up: down, down }
+    }
+}
+
 /// A rectangle of the tile with all its frames.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Cell {
@@ -131,6 +139,11 @@ impl Partition {
         self.shape
     }
 
+    /// How far its draws reach.
+    pub fn reach(&self) -> Reach {
+        self.reach
+    }
+
     /// Number of cells.
     pub fn cells(&self) -> usize {
         self.columns.len() * self.rows.len()
@@ -168,6 +181,23 @@ impl Partition {
             up,
             frames: self.shape.frames(),
         }
+    }
+
+    /// Pixels of all blocks together, halos included.
+    pub fn block_pixels(&self) -> usize {
+        let Reach { left, right, up, down } = self.reach;
+        let across = self.shape.width().saturating_add(self.columns.len() * (left + right));
+        let down = self.shape.height().saturating_add(self.rows.len() * (up + down));
+        across.saturating_mul(down).saturating_mul(self.shape.frames())
+    }
+
+    /// Pixels of the largest block.
+    pub fn largest_block(&self) -> usize {
+        let longest = |pieces: &[Range<usize>]| pieces.iter().map(|piece| piece.len()).max();
+        let Reach { left, right, up, down } = self.reach;
+        let across = longest(&self.columns).unwrap_or(0) + left + right;
+        let down = longest(&self.rows).unwrap_or(0) + up + down;
+        across.saturating_mul(down).saturating_mul(self.shape.frames())
     }
 
     /// What the halo of `cell` consists of, by owner.
@@ -310,6 +340,9 @@ mod tests {
                 }
             }
             prop_assert_eq!(owners, shape.pixels());
+            let blocks = || (0..partition.cells()).map(|cell| partition.block(cell).pixels());
+            prop_assert_eq!(partition.block_pixels(), blocks().sum::<usize>());
+            prop_assert_eq!(partition.largest_block(), blocks().max().unwrap());
         }
     }
 }
