@@ -1,4 +1,5 @@
 //! The integration tests, one module for each room.
 
 mod format;
+mod gradient;
 mod metric;
