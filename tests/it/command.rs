@@ -195,7 +195,7 @@ fn wrong_arguments_are_refused() {
         (&["--steps", "-1"], &["-1"]),
         (&["--steps", "4294967296"], &["4294967296"]),
         (&["--draws", "0"], &["draws is 0", "1..=2^30"]),
-        (&["--draws", "1073741824", "--tile", "8x8x8"], &["1073741824 draws", "fewer draws"]),
+        (&["--draws", "2000000", "--tile", "8x8x8"], &["2000000 draws", "fewer draws"]),
         (&["--directions", "17"], &["directions is 17"]),
         (&["--rate", "nan"], &["rate is NaN"]),
         (&["--rate", "0"], &["rate is 0"]),
@@ -229,6 +229,9 @@ fn a_run_that_memory_cannot_hold_is_refused_at_once() {
     for tile in ["16384x16384x1024", "1048576x1048576x1", "1048576x1048576x1024"] {
         folder.fail(&["optimize", "--preset", "salaun", "--tile", tile], 4, &["MB", "memory"]);
     }
+    // Its draws need more than its samples do.
+    let draws = ["--tile", "8x8x8", "--kernel", "none", "--draws", "1000000000", "--directions"];
+    folder.fail(&[&["optimize"], &draws[..], &["16"]].concat(), 4, &["memory"]);
     folder.fail(
         &["optimize", "--tile", "8192x8192x64", "--dry-run", "--spp", "64"],
         4,
