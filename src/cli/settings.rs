@@ -340,3 +340,112 @@ impl Settings {
             .collect()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+    use proptest::prelude::*;
+
+    use super::*;
+
+    #[derive(Debug, Parser)]
+    struct Command {
+        #[command(flatten)]
+        settings: Settings,
+    }
+
+    fn parse(line: &[String]) -> Settings {
+        let program = "perceptile".to_owned();
+        Command::try_parse_from(std::iter::once(&program).chain(line)).unwrap().settings
+    }
+
+    /// Every setting with a value of its own.
+    fn full(x: f64, n: u32) -> Settings {
+        let small = Some(x);
+        let count = Some(n);
+        Settings {
+            preset: Some(PresetName::PaperTaa),
+            tile: Some(TileSize { width: 9, height: n as usize, frames: 4 }),
+            spp: Some(3),
+            dims: Some(5),
+            kernel: Some(
+                "0.5: gaussian(1.5) @ 90% + 0.5: table(\"a b.npy\", origin=(0, 1, 2))"
+                    .parse()
+                    .unwrap(),
+            ),
+            seed: Some(u64::MAX - u64::from(n)),
+            start: Some("it's here.npy".into()),
+            steps: count,
+            stop_after: count,
+            draws: Some(n as usize),
+            directions: Some(2),
+            threshold_range: small,
+            axis_share: small,
+            pair_share: small,
+            rate: small,
+            final_rate: small,
+            beta1: small,
+            beta2: small,
+            epsilon: small,
+            polish: count,
+            polish_rate: small,
+            polish_axis_weight: small,
+            polish_linear_weight: small,
+            warp: count,
+            warp_rate: small,
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn the_command_line_and_a_file_say_the_same(x in 0.0..1.0_f64, tiny in 0_i32..300, n: u32) {
+            let settings = full(x * 10.0_f64.powi(-tiny), n);
+            // Every setting is told; a new one that is left out here fails to compile above.
+            prop_assert!(settings.command_line().len() > 40);
+            prop_assert_eq!(&parse(&settings.command_line()), &settings);
+            // TOML has no integers above 2⁶³.
+            let settings = Settings { seed: Some(n.into()), ..settings };
+            let text = toml::to_string(&settings).unwrap();
+            prop_assert_eq!(&toml::from_str::<Settings>(&text).unwrap(), &settings);
+        }
+
+        #[test]
+        fn sizes_are_read_as_they_are_written(width: usize, height: usize, frames: usize) {
+            let size = TileSize { width, height, frames };
+            prop_assert_eq!(size.to_string().parse::<TileSize>(), Ok(size));
+        }
+
+        #[test]
+        fn no_text_makes_a_size_panic(text: String) {
+            let _ = text.parse::<TileSize>();
+        }
+    }
+
+    #[test]
+    fn flags_win_over_a_file_one_by_one() {
+        let flags = Settings { seed: Some(1), steps: Some(2), ..Settings::default() };
+        let file = full(0.5, 7);
+        let both = flags.or(file.clone());
+        assert_eq!(both, Settings { seed: Some(1), steps: Some(2), ..file });
+        assert!(Settings::default().command_line().is_empty());
+    }
+
+    #[test]
+    fn settings_reach_the_options() {
+        let (options, start) = full(0.25, 7).options().unwrap();
+        assert_eq!(start, Some("it's here.npy".into()));
+        assert_eq!((options.shape.height(), options.shape.spp(), options.shape.dims()), (7, 3, 5));
+        assert_eq!((options.steps, options.stop_after, options.warp.frames), (7, Some(7), 7));
+        assert_eq!((options.draw.draws, options.polish.steps), (7, 7));
+        let x = 0.25;
+        let draw = options.draw;
+        assert_eq!([draw.threshold_range, draw.axis_share, draw.pair_share], [x; 3]);
+        let adam = options.adam;
+        assert_eq!([adam.rate, adam.final_rate, adam.beta1, adam.beta2, adam.epsilon], [x; 5]);
+        let polish = options.polish;
+        assert_eq!([polish.adam.rate, polish.axis_weight, polish.linear_weight], [x; 3]);
+        assert_eq!(options.warp.rate, x);
+        // Nothing set: the preset, whole.
+        assert_eq!(Settings::default().options().unwrap().0, Preset::Best.options());
+    }
+}

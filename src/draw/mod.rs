@@ -181,3 +181,172 @@ impl Draws {
 fn stratum(i: usize, count: usize, pixels: usize) -> usize {
     (i as u128 * pixels as u128 / count as u128) as usize
 }
+
+#[cfg(test)]
+mod tests {
+    use glam::IVec3;
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::kernel::{KernelTaps, Tap};
+    use crate::tile::TileShape;
+
+    const OPTIONS: DrawOptions = DrawOptions {
+        draws: 100,
+        directions: 1,
+        threshold_range: 1.0,
+        axis_share: 0.0,
+        pair_share: 0.0,
+    };
+
+    /// Taps in a row of frames with the given weights.
+    fn levels(weights: &[f64]) -> LevelSets {
+        let tap =
+            |(k, &weight): (usize, &f64)| Tap { offset: IVec3::new(0, 0, -(k as i32)), weight };
+        let kernel = KernelTaps::new(weights.iter().enumerate().map(tap)).unwrap();
+        LevelSets::new([(1.0, &kernel)])
+    }
+
+    fn source(options: DrawOptions, seed: u64, weights: &[f64], dims: usize) -> Draws {
+        Draws::new(options, seed, levels(weights), dims)
+    }
+
+    fn partition(width: usize, height: usize, frames: usize) -> Partition {
+        let shape = TileShape::new(width, height, frames, 1, 2).unwrap();
+        Partition::new(shape, Default::default(), 1)
+    }
+
+    proptest! {
+        #[test]
+        fn a_step_has_all_its_draws_evenly_spread(
+            width in 1_usize..70, height in 1_usize..50, frames in 1_usize..4,
+            draws in 1_usize..2000, directions in 1_usize..4, seed: u64, step: u32,
+        ) {
+            let partition = partition(width, height, frames);
+            let draws = source(DrawOptions { draws, directions, ..OPTIONS }, seed, &[0.5, -0.2], 2);
+            let most = draws.most_per_pixel(&partition);
+            let mut all = 0;
+            let mut out = CellDraws::default();
+            for cell in 0..partition.cells() {
+                let place = partition.cell(cell);
+                draws.cell(&partition, step, cell, &mut out);
+                prop_assert_eq!(out.directions.len(), out.draws.len() * directions);
+                let mut counts = vec![0_usize; place.pixels(frames)];
+                for draw in &out.draws {
+                    let (x, y, t) = (draw.x as usize, draw.y as usize, draw.t as usize);
+                    prop_assert!(x < place.width && y < place.height && t < frames);
+                    prop_assert!(draw.taps == 1 && draw.set < 2);
+                    counts[(t * place.height + y) * place.width + x] += 1;
+                }
+                let per_pixel = out.draws.len().div_ceil(counts.len());
+                prop_assert!(counts.iter().all(|&count| count <= per_pixel));
+                prop_assert!(per_pixel <= most);
+                let share = draws.options().draws as f64 * counts.len() as f64
+                    / partition.shape().pixels() as f64;
+                prop_assert!((out.draws.len() as f64 - share).abs() < 1.0);
+                all += out.draws.len();
+            }
+            prop_assert_eq!(all, draws.options().draws);
+        }
+
+        #[test]
+        fn draws_depend_on_seed_step_and_cell_only(seed: u64, step: u32) {
+            let partition = partition(40, 40, 2);
+            let draws = source(OPTIONS, seed, &[0.5, 0.2, 0.1], 3);
+            let of = |draws: &Draws, step: u32, cell: usize| {
+                let mut out = CellDraws::default();
+                draws.cell(&partition, step, cell, &mut out);
+                (out.draws, out.directions)
+            };
+            let first = of(&draws, step, 1);
+            of(&draws, step, 0);
+            prop_assert_eq!(&first, &of(&draws, step, 1));
+            prop_assert_ne!(&first.0, &of(&draws, step ^ 1, 1).0);
+            prop_assert_ne!(&first.0, &of(&source(OPTIONS, seed ^ 1, &[0.5, 0.2, 0.1], 3), step, 1).0);
+        }
+    }
+
+    /// Expected and found numbers differ by no more than sampling explains.
+    fn assert_close(found: f64, expected: f64, label: &str) {
+        let deviation = expected.sqrt().max(1.0);
+        assert!((found - expected).abs() < 4.5 * deviation, "{label}: {found}, not {expected}");
+    }
+
+    #[test]
+    fn subsets_have_the_sizes_of_the_level_sets() {
+        // Peaks 0.4 and −0.2 share the thresholds 2 : 1; above 0 the levels are 1, 0.75, 0.25.
+        let weights = [0.1, 0.4, 0.3, -0.2, -0.05];
+        for (range, shares) in
+            [(1.0, [0.25, 0.5, 0.25, 0.75, 0.25]), (0.5, [0.0, 0.5, 0.5, 0.5, 0.5])]
+        {
+            let options = DrawOptions { threshold_range: range, ..OPTIONS };
+            let draws = source(options, 5, &weights, 2);
+            let partition = partition(20, 20, 5);
+            let mut counts = std::collections::BTreeMap::<(u32, u32), f64>::new();
+            let mut out = CellDraws::default();
+            let steps = 300;
+            for step in 0..steps {
+                draws.cell(&partition, step, 0, &mut out);
+                for draw in &out.draws {
+                    *counts.entry((draw.set, draw.taps)).or_default() += 1.0;
+                }
+            }
+            let all = f64::from(steps) * OPTIONS.draws as f64;
+            for (i, key) in [(0, 1), (0, 2), (0, 3), (1, 1), (1, 2)].into_iter().enumerate() {
+                let of_set = if key.0 == 0 { 2.0 / 3.0 } else { 1.0 / 3.0 };
+                let found = counts.remove(&key).unwrap_or(0.0);
+                assert_close(found, all * of_set * shares[i], &format!("{range} {key:?}"));
+            }
+            assert!(counts.is_empty(), "{counts:?}");
+        }
+    }
+
+    #[test]
+    fn every_pixel_is_drawn_equally_often() {
+        // Sizes of which neither cells nor strata are whole parts.
+        let partition = partition(35, 33, 2);
+        let draws = source(OPTIONS, 9, &[1.0], 2);
+        let shape = partition.shape();
+        let mut counts = vec![0.0_f64; shape.pixels()];
+        let mut out = CellDraws::default();
+        let steps = 2000;
+        for step in 0..steps {
+            for cell in 0..partition.cells() {
+                let place = partition.cell(cell);
+                draws.cell(&partition, step, cell, &mut out);
+                for draw in &out.draws {
+                    let (x, y) = (place.x + draw.x as usize, place.y + draw.y as usize);
+                    counts[shape.pixel(x, y, draw.t as usize)] += 1.0;
+                }
+            }
+        }
+        let expected = f64::from(steps) * OPTIONS.draws as f64 / counts.len() as f64;
+        let chi: f64 = counts.iter().map(|count| (count - expected).powi(2) / expected).sum();
+        // Draws repel each other, so the sum is at most that of independent ones.
+        let freedom = counts.len() as f64;
+        assert!(chi < freedom + 5.0 * (2.0 * freedom).sqrt(), "{chi} of {freedom}");
+        for (pixel, count) in counts.into_iter().enumerate() {
+            assert_close(count, expected, &format!("pixel {pixel}"));
+        }
+    }
+
+    #[test]
+    fn directions_have_their_shares() {
+        let options = DrawOptions { axis_share: 0.2, pair_share: 0.5, directions: 3, ..OPTIONS };
+        let draws = source(options, 2, &[1.0], 4);
+        let partition = partition(16, 16, 1);
+        let mut counts = [0.0; 5];
+        let mut out = CellDraws::default();
+        for step in 0..200 {
+            draws.cell(&partition, step, 0, &mut out);
+            for direction in &out.directions {
+                counts[direction.theta.iter().filter(|&&x| x != 0.0).count()] += 1.0;
+            }
+        }
+        let all: f64 = counts.iter().sum();
+        assert_eq!(all, 200.0 * 100.0 * 3.0);
+        for (axes, share) in [(1, 0.2), (2, 0.5), (4, 0.3)] {
+            assert_close(counts[axes], all * share, &format!("{axes} axes"));
+        }
+    }
+}

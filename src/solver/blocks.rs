@@ -130,3 +130,80 @@ pub fn split<'a, T>(mut slice: &'a mut [T], sizes: &[usize]) -> Vec<&'a mut [T]>
     };
     sizes.iter().map(&mut cut).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::tile::{Reach, TileShape};
+
+    /// For every word of every block, its word in the tile in C order.
+    fn places(partition: &Partition) -> Vec<usize> {
+        let shape = partition.shape();
+        let pixel = shape.spp() * shape.dims();
+        let mut places = Vec::new();
+        for cell in 0..partition.cells() {
+            let (place, block) = (partition.cell(cell), partition.block(cell));
+            for t in 0..block.frames {
+                for y in 0..block.height {
+                    for x in 0..block.width {
+                        let around = |start: usize, at: usize, lead: usize, size: usize| {
+                            (start as i64 + at as i64 - lead as i64).rem_euclid(size as i64)
+                                as usize
+                        };
+                        let x = around(place.x, x, block.left, shape.width());
+                        let y = around(place.y, y, block.up, shape.height());
+                        let word = shape.pixel(x, y, t) * pixel;
+                        places.extend(word..word + pixel);
+                    }
+                }
+            }
+        }
+        places
+    }
+
+    /// Whether each word of the blocks is in a cell rather than its halo.
+    fn owned(blocks: &Blocks) -> Vec<bool> {
+        let mut owned = Vec::new();
+        for (cell, &words) in blocks.block_words().iter().enumerate() {
+            let start = owned.len();
+            owned.resize(start + words, false);
+            for row in blocks.rows(cell) {
+                owned[start + row.block..start + row.block + row.len].fill(true);
+            }
+        }
+        owned
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+
+        #[test]
+        fn halos_are_filled_and_emptied_around_the_torus(
+            width in 1_usize..50, height in 1_usize..40, frames in 1_usize..3,
+            spp in 1_usize..3, dims in 1_usize..3,
+            left in 0_usize..9, right in 0_usize..9, up in 0_usize..5, down in 0_usize..5,
+        ) {
+            let shape = TileShape::new(width, height, frames, spp, dims).unwrap();
+            let partition = Partition::new(shape, Reach { left, right, up, down }, 1);
+            let places = places(&partition);
+            let blocks = Blocks::new(partition, World::Local);
+            let owned = owned(&blocks);
+            let fill = |(&place, &own): (&usize, &bool)| if own { place as f32 } else { -1.0 };
+            let mut samples: Vec<f32> = places.iter().zip(&owned).map(fill).collect();
+            blocks.copy_to_halos(World::Local, &mut samples, &mut Vec::new());
+            let whole: Vec<f32> = places.iter().map(|&place| place as f32).collect();
+            prop_assert_eq!(samples, whole);
+
+            let gradient: Vec<i32> = (0..places.len() as i32).collect();
+            let mut sums = vec![0; shape.coordinates()];
+            places.iter().zip(&gradient).for_each(|(&place, &word)| sums[place] += word);
+            let mut added = gradient;
+            blocks.add_from_halos(World::Local, &mut added, &mut Vec::new());
+            for i in (0..places.len()).filter(|&i| owned[i]) {
+                prop_assert_eq!(added[i], sums[places[i]]);
+            }
+        }
+    }
+}

@@ -404,3 +404,174 @@ fn distances_to_side(x: f64, y: f64) -> f64 {
     };
     part(y) + part(1.0 - y)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::kernel::KernelSpec;
+    use crate::metric::Baseline;
+    use crate::tile::{Tile, TileShape};
+
+    /// The energy in f64 by the double sum over all samples, with nothing of the fast path: G
+    /// from the filter's own rows, V by quadrature.
+    struct Slow {
+        shape: TileShape,
+        /// G between each two pixels.
+        weights: Vec<Vec<f64>>,
+        axis: f64,
+        linear: f64,
+    }
+
+    impl Slow {
+        fn new(shape: TileShape, classes: &[(f64, &KernelTaps)], axis: f64, linear: f64) -> Self {
+            let size =
+                IVec3::new(shape.width() as i32, shape.height() as i32, shape.frames() as i32);
+            let mut weights = vec![vec![0.0; shape.pixels()]; shape.pixels()];
+            for (share, kernel) in classes {
+                let square: f64 = kernel.taps().iter().map(|tap| tap.weight * tap.weight).sum();
+                for filtered in 0..shape.pixels() as i32 {
+                    let place = IVec3::new(
+                        filtered % size.x,
+                        filtered / size.x % size.y,
+                        filtered / size.x / size.y,
+                    );
+                    let row: Vec<(usize, f64)> = kernel
+                        .taps()
+                        .iter()
+                        .map(|tap| {
+                            let from = (place + tap.offset).rem_euclid(size).as_usizevec3();
+                            (shape.pixel(from.x, from.y, from.z), tap.weight)
+                        })
+                        .collect();
+                    for (i, a) in &row {
+                        for (j, b) in &row {
+                            weights[*i][*j] += share * a * b / square;
+                        }
+                    }
+                }
+            }
+            Self { shape, weights, axis, linear }
+        }
+
+        /// What takes the place of the distance, between points of one pair of dimensions.
+        fn distance(&self, d: [f64; 2]) -> f64 {
+            let square = d[0] * d[0] + d[1] * d[1];
+            square.sqrt() + self.axis * (d[0].abs() + d[1].abs()) + 0.5 * self.linear * square
+        }
+
+        /// Its mean over the unit square, or over the unit interval for a lone dimension.
+        fn mean(&self, x: [f64; 2], planar: bool) -> f64 {
+            // ∫|x − u| du and ∫½(x − u)² du over [0, 1].
+            let line = |x: f64| 0.5 * (x * x + (1.0 - x) * (1.0 - x));
+            let square = |x: f64| (x.powi(3) + (1.0 - x).powi(3)) / 6.0;
+            let single = |x: f64| self.axis * line(x) + self.linear * square(x);
+            if !planar {
+                return line(x[0]) + single(x[0]);
+            }
+            const N: usize = 250;
+            let at = |i: usize| (i as f64 + 0.5) / N as f64;
+            let sum: f64 = (0..N * N).map(|i| (x[0] - at(i % N)).hypot(x[1] - at(i / N))).sum();
+            sum / (N * N) as f64 + single(x[0]) + single(x[1])
+        }
+
+        /// The part of the energy that depends on one sample.
+        fn energy(&self, points: &[f64], sample: usize) -> f64 {
+            let (spp, dims) = (self.shape.spp(), self.shape.dims());
+            let planar = dims > 1;
+            let mut energy = 0.0;
+            for b in 0..dims {
+                for a in 0..if planar { b } else { 1 } {
+                    let at = |s: usize| {
+                        [points[s * dims + a], if planar { points[s * dims + b] } else { 0.0 }]
+                    };
+                    let x = at(sample);
+                    let mut total = 0.0;
+                    for other in 0..self.shape.samples() {
+                        let weight = self.weights[sample / spp][other / spp];
+                        let u = at(other);
+                        energy -= weight * self.distance([x[0] - u[0], x[1] - u[1]]);
+                        total += weight;
+                    }
+                    energy += total * self.mean(x, planar);
+                }
+            }
+            energy
+        }
+    }
+
+    fn polish(tile: &Tile, classes: &[(f64, &KernelTaps)], simd: Simd) -> Polish {
+        let adam =
+            AdamOptions { rate: 0.01, final_rate: 0.0, beta1: 0.9, beta2: 0.99, epsilon: 1e-8 };
+        let options = PolishOptions { steps: 10, axis_weight: 0.3, linear_weight: 0.7, adam };
+        let partition = Partition::new(tile.shape(), Reach::default(), 1);
+        let samples = CellSamples::from_tile(tile, &partition);
+        Polish::new(World::Local, &partition, classes, options, simd, &samples)
+    }
+
+    #[test]
+    fn pulls_are_the_slope_of_the_energy() {
+        const SIGNED: &str = "0.8: gaussian(1) * fovvideovdp(30) @ 3x4x8 + 0.2: column";
+        for ([width, height, frames, spp, dims], kernel) in [
+            ([9, 5, 8, 1, 2], SIGNED),
+            ([5, 4, 8, 2, 1], SIGNED),
+            ([4, 5, 3, 2, 3], "gaussian(1) * ema(0.5) @ 4x3x3"),
+            ([33, 4, 1, 1, 2], "gaussian(1) @ 3x3x1"),
+        ] {
+            let shape = TileShape::new(width, height, frames, spp, dims).unwrap();
+            let tile = Baseline::White.tile(shape, 6);
+            let kernel = kernel.parse::<KernelSpec>().unwrap().resolve(shape).unwrap();
+            let classes: Vec<_> =
+                kernel.classes().iter().map(|class| (class.weight, &class.taps)).collect();
+            let mut fast = polish(&tile, &classes, Simd::detect());
+            fast.pull();
+            // The pulls in C order.
+            let mut pulls = vec![0.0_f64; shape.coordinates()];
+            let mut start = 0;
+            for cell in 0..fast.blocks.partition().cells() {
+                let place = fast.blocks.partition().cell(cell);
+                for (row, at) in fast.blocks.rows(cell).zip(0..) {
+                    let (t, y) = (at / place.height, at % place.height);
+                    let to = shape.pixel(place.x, place.y + y, t) * spp * dims;
+                    for word in 0..row.len {
+                        pulls[to + word] = f64::from(fast.pulls[start + row.cell + word]);
+                    }
+                }
+                start += place.pixels(frames) * spp * dims;
+            }
+
+            let slow = Slow::new(shape, &classes, 0.3, 0.7);
+            let points: Vec<f64> = tile.samples().iter().map(|&x| f64::from(x)).collect();
+            let mut largest = 0.0_f64;
+            for word in (0..points.len()).step_by(7) {
+                const STEP: f64 = 1e-6;
+                let energy = |by: f64| {
+                    let mut points = points.clone();
+                    points[word] += by;
+                    slow.energy(&points, word / dims)
+                };
+                let slope = (energy(STEP) - energy(-STEP)) / (2.0 * STEP);
+                largest = largest.max(slope.abs());
+                let (found, label) = (pulls[word], format!("{shape} coordinate {word}"));
+                assert!((found + slope).abs() < 5e-3, "{label}: {found} {slope}");
+            }
+            assert!(largest > 0.5, "{shape}: slopes up to {largest} only");
+
+            let mut plain = polish(&tile, &classes, Simd::plain());
+            plain.pull();
+            let bits =
+                |polish: &Polish| polish.pulls.iter().map(|x| x.to_bits()).collect::<Vec<_>>();
+            assert_eq!(bits(&plain), bits(&fast));
+        }
+    }
+
+    #[test]
+    fn inverse_roots_are_good_to_five_digits() {
+        for i in 0..4000 {
+            let x = 2.0_f32.powf(-40.0 + 0.01 * i as f32);
+            let exact = 1.0 / f64::from(x).sqrt();
+            let error = f64::from(inverse_root(x)) / exact - 1.0;
+            assert!(error.abs() < 1e-5, "{x}: {error}");
+        }
+        assert!(inverse_root(0.0).is_finite());
+    }
+}

@@ -142,3 +142,54 @@ impl State {
         CellSamples { words }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use perceptile_cluster::World;
+
+    use super::*;
+    use crate::metric::Baseline;
+    use crate::tile::{Reach, TileShape};
+
+    fn cells() -> (Tile, Partition) {
+        let shape = TileShape::new(37, 35, 3, 2, 3).unwrap();
+        let reach = Reach { left: 2, right: 3, up: 1, down: 0 };
+        (Baseline::White.tile(shape, 4), Partition::new(shape, reach, 1))
+    }
+
+    #[test]
+    fn cell_order_and_blocks_lose_nothing() {
+        let (tile, partition) = cells();
+        let samples = CellSamples::from_tile(&tile, &partition);
+        assert_eq!(samples.to_tile(&partition), tile);
+        // The first row of the first cell, and the first pixel of the second cell.
+        let cell = partition.cell(0);
+        let row = cell.width * 6;
+        assert_eq!(samples.words[..row], tile.samples()[..row]);
+        let second = cell.pixels(3) * 6;
+        assert_eq!(samples.words[second..second + 3], *tile.point(partition.cell(1).x, 0, 0, 0));
+
+        let blocks = Blocks::new(partition, World::Local);
+        assert_eq!(State::new(&blocks, &samples).samples(&blocks), samples);
+    }
+
+    #[test]
+    fn a_step_holds_only_after_it_is_committed() {
+        let (tile, partition) = cells();
+        let samples = CellSamples::from_tile(&tile, &partition);
+        let blocks = Blocks::new(partition, World::Local);
+        let mut state = State::new(&blocks, &samples);
+        let (_, new) = state.old_and_new();
+        new.samples.fill(0.25);
+        new.first.fill(1.0);
+        assert_eq!(state.samples(&blocks), samples);
+        assert!(state.current().first.iter().all(|&m| m == 0.0));
+        state.commit();
+        assert!(state.samples(&blocks).words.iter().all(|&x| x == 0.25));
+        let (old, new) = state.old_and_new();
+        assert_eq!((old.first[0], new.first[0]), (1.0, 0.0));
+        state.replace(&blocks, &samples);
+        assert_eq!(state.samples(&blocks), samples);
+        assert!(state.current().first.iter().all(|&m| m == 1.0));
+    }
+}

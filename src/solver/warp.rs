@@ -200,3 +200,109 @@ impl Vectorized for Move<'_> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::metric::histogram;
+    use crate::tile::{Tile, TileShape};
+
+    /// Points of the additive recurrence of the generalised golden ratio: far more even than
+    /// random ones, so that what is left of a density's unevenness can be seen.
+    fn even(count: usize, dims: usize) -> Vec<f64> {
+        let mut root = 2.0_f64;
+        (0..60).for_each(|_| root = (1.0 + root).powf(1.0 / (dims as f64 + 1.0)));
+        (0..count * dims)
+            .map(|i| (0.5 + (i / dims) as f64 * root.powi(-((i % dims) as i32 + 1))).fract())
+            .collect()
+    }
+
+    fn warped(points: &[f64], dims: usize, options: WarpOptions) -> CellSamples {
+        let words = points.iter().map(|&x| clamp_coordinate(x as f32)).collect();
+        let mut samples = CellSamples { words };
+        warp(&mut samples, dims, options, 3, World::Local, Simd::detect());
+        samples
+    }
+
+    /// Rms of the shares of 16 strata (one dimension) or of 16×16 cells (each pair) against 1.
+    fn unevenness(samples: &CellSamples, dims: usize) -> f64 {
+        if dims == 1 {
+            let mut counts = [0_u32; 16];
+            samples.words.iter().for_each(|x| counts[(x * 16.0) as usize] += 1);
+            let share = |count: &u32| f64::from(*count) * 16.0 / samples.words.len() as f64;
+            let square: f64 = counts.iter().map(|count| (share(count) - 1.0).powi(2)).sum();
+            return (square / 16.0).sqrt();
+        }
+        let shape = TileShape::new(samples.words.len() / dims, 1, 1, 1, dims).unwrap();
+        histogram(&Tile::new(shape, samples.words.clone()).unwrap()).rms
+    }
+
+    const OPTIONS: WarpOptions = WarpOptions { frames: 300, rate: 0.5 };
+
+    #[test]
+    fn densities_become_uniform() {
+        // Emptied corners, as the descent leaves them, and a density that leans to one side.
+        let corners = |x: f64| x + 0.04 * (std::f64::consts::TAU * x).sin();
+        let leaning = |x: f64| x.powf(1.3);
+        for dims in [1, 2, 3] {
+            let points = even(1 << 16, dims);
+            for bend in [&corners as &dyn Fn(f64) -> f64, &leaning] {
+                let bent: Vec<f64> = points.iter().map(|&x| bend(x)).collect();
+                let before =
+                    unevenness(&warped(&bent, dims, WarpOptions { frames: 0, ..OPTIONS }), dims);
+                let after = unevenness(&warped(&bent, dims, OPTIONS), dims);
+                assert!(before > 0.15 && after < 0.03, "{dims}: {before} -> {after}");
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_uniform_stays_where_it_is() {
+        for dims in [1, 2, 3, 5] {
+            let points = even(1 << 15, dims);
+            let samples = warped(&points, dims, OPTIONS);
+            let furthest = points
+                .iter()
+                .zip(&samples.words)
+                .map(|(x, &y)| (x - f64::from(y)).abs())
+                .fold(0.0, f64::max);
+            assert!(furthest < 0.02, "{dims}: {furthest}");
+        }
+    }
+
+    #[test]
+    fn order_along_a_line_survives() {
+        let bent: Vec<f64> = even(1 << 14, 1).iter().map(|x| x * x).collect();
+        let samples = warped(&bent, 1, OPTIONS);
+        let mut pairs: Vec<(f64, f32)> = bent.into_iter().zip(samples.words).collect();
+        pairs.sort_by(|a, b| a.0.total_cmp(&b.0));
+        assert!(pairs.windows(2).all(|pair| pair[0].1 <= pair[1].1));
+    }
+
+    #[test]
+    fn anything_stays_in_the_cube() {
+        for words in [vec![0.0; 64], vec![crate::tile::BELOW_ONE; 64], vec![0.3]] {
+            for dims in [1, 2, 4] {
+                let mut samples = CellSamples { words: words.repeat(dims) };
+                warp(&mut samples, dims, OPTIONS, 1, World::Local, Simd::plain());
+                assert!(samples.words.iter().all(|x| (0.0..1.0).contains(x)));
+            }
+        }
+    }
+
+    #[test]
+    fn quantiles_are_those_of_sorted_projections() {
+        let points = even(1 << 16, 2);
+        let mut theta = [0.0; MAX_DIMS];
+        (theta[0], theta[1]) = (-0.6, 0.8);
+        let axis = Axis::new(theta, 2);
+        let mut projections: Vec<f64> =
+            points.chunks(2).map(|p| 0.6 * (1.0 - p[0]) + 0.8 * p[1]).collect();
+        projections.sort_by(f64::total_cmp);
+        for u in [0.0, 0.01, 0.2, 0.5, 0.77, 0.99] {
+            let expected = projections[(u * projections.len() as f64) as usize];
+            assert!((axis.quantile(u) - expected).abs() < 5e-3, "{u}: {expected}");
+        }
+        assert!((axis.quantile(1.0) - 1.4).abs() < 1e-6);
+    }
+}

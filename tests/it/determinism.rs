@@ -78,7 +78,13 @@ fn threads_and_instruction_sets_leave_no_trace() {
 fn bytes_stay_what_they_were() {
     // Changing these lines says that tiles of this version differ from those of earlier ones.
     for (name, shape, kernel, polish, sha256) in [
-        ("perception", [36, 33, 8, 1, 2], PERCEPTION, 0, "GOLDEN0"),
+        (
+            "perception",
+            [36, 33, 8, 1, 2],
+            PERCEPTION,
+            0,
+            "e335972deca7e496e907d6925f5752b6a80c4a26b1d977d0148301a3ba26f1b9",
+        ),
         ("signed", [20, 21, 15, 2, 3], "gaussian(1) * fovvideovdp(60) @ 3x3x15", 0, "GOLDEN1"),
         ("polished", [24, 34, 9, 1, 2], PERCEPTION, 5, "GOLDEN2"),
     ] {
