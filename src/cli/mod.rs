@@ -15,7 +15,8 @@ use anyhow::Context;
 use clap::{Parser, Subcommand};
 
 use perceptile::format::write::WriteError;
-use perceptile::kernel::KernelError;
+use perceptile::kernel::{KernelError, ResolveProblem};
+use perceptile::metric::ScoreError;
 use perceptile::run::memory::MemoryError;
 use perceptile::solver::OptionsError;
 
@@ -75,7 +76,14 @@ fn exit_code(error: &anyhow::Error) -> u8 {
         3
     } else if error.is::<MemoryError>() {
         4
-    } else if error.is::<Misuse>() || error.is::<OptionsError>() || error.is::<KernelError>() {
+    } else if let Some(KernelError { problem: ResolveProblem::Table(_), .. }) = error.downcast_ref()
+    {
+        1
+    } else if error.is::<Misuse>()
+        || error.is::<OptionsError>()
+        || error.is::<KernelError>()
+        || error.is::<ScoreError>()
+    {
         2
     } else {
         1

@@ -47,12 +47,12 @@ pub struct OptimizeArgs {
     #[arg(long)]
     force: bool,
 
-    /// Threads; 0 takes one for each core
+    /// Threads, at most 1024; 0 takes one for each core
     #[arg(long, default_value_t = 0)]
     threads: usize,
 
     /// Worker processes; 0 means threads in this process
-    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=0))]
+    #[arg(long, default_value_t = 0, value_parser = parse_workers)]
     workers: u32,
 
     /// Stop when this time is up, such as 90s, 10m or 2h, and write what there is
@@ -71,6 +71,9 @@ pub struct OptimizeArgs {
     #[arg(long)]
     dry_run: bool,
 }
+
+/// Most threads; systems refuse far more of them, some only after having made thousands.
+const MAX_THREADS: usize = 1024;
 
 /// What `--simd` offers.
 #[derive(Debug, Clone, Copy, ValueEnum)]
@@ -94,6 +97,14 @@ pub fn run(args: OptimizeArgs) -> anyhow::Result<ExitCode> {
     options.validate()?;
     let kernel = options.kernel.resolve(options.shape)?;
     options.check_kernel(&kernel)?;
+    let score_options = ScoreOptions { integrands: args.integrands, ..ScoreOptions::default() };
+    if args.integrands > 0 {
+        score_options.validate()?;
+    }
+    if args.threads > MAX_THREADS {
+        let message = format!("{} threads are too many: at most {MAX_THREADS}", args.threads);
+        return Err(Misuse(message).into());
+    }
     memory::check(&options, &kernel)?;
     if args.dry_run {
         print(&plan(&options, &kernel))?;
@@ -123,7 +134,6 @@ pub fn run(args: OptimizeArgs) -> anyhow::Result<ExitCode> {
         pool.install(|| phases::optimize(&options, start.as_ref(), simd, &mut watch))?;
     watch.bar.finish_and_clear();
     let seconds = begin.elapsed().as_secs_f64();
-    let score_options = ScoreOptions { integrands: args.integrands, ..ScoreOptions::default() };
     // A stopped run is to end soon, so it is not scored.
     let scores = (args.integrands > 0 && signals.received().is_none())
         .then(|| {
@@ -270,6 +280,17 @@ fn report(
     line(format!("picture     {}", outputs.picture.display()));
     line(format!("provenance  {}", outputs.sidecar.display()));
     text
+}
+
+/// Reads the number of worker processes.
+fn parse_workers(text: &str) -> Result<u32, String> {
+    match text.parse() {
+        Ok(0) => Ok(0),
+        _ => {
+            Err("there are no worker processes in this version; 0 means threads in this process"
+                .into())
+        }
+    }
 }
 
 /// Reads `90s`, `10m`, `2h` or a number of seconds.

@@ -209,7 +209,12 @@ impl Settings {
     pub fn read(path: &Path) -> anyhow::Result<Self> {
         const MAX_BYTES: u64 = 1 << 20;
         let unreadable = || format!("cannot read {}", path.display());
-        let size = std::fs::metadata(path).with_context(unreadable)?.len();
+        let metadata = std::fs::metadata(path).with_context(unreadable)?;
+        if !metadata.is_file() {
+            // A pipe or a device may never end.
+            return Err(anyhow::anyhow!("it is not a file")).with_context(unreadable);
+        }
+        let size = metadata.len();
         if size > MAX_BYTES {
             let message = format!(
                 "{} has {size} bytes, but settings have at most {MAX_BYTES}",

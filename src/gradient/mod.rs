@@ -82,7 +82,11 @@ impl TapWords {
         let pixel = shape.spp() * shape.dims();
         let row = block.width as i32 * pixel as i32;
         let frame = row * block.height as i32;
-        let word = |o: &IVec3| (o.z * frame + o.y * row + o.x * pixel as i32, o.z);
+        let word = |o: &IVec3| {
+            // However far a tap lies, it is less than a period away around the torus.
+            let frames = o.z % block.frames as i32;
+            (frames * frame + o.y * row + o.x * pixel as i32, frames)
+        };
         let sets = levels.sets().iter().map(|set| set.offsets.iter().map(word).collect()).collect();
         Self { sets, frame, frames: block.frames as i32, pixel }
     }

@@ -2,6 +2,7 @@
 
 use thiserror::Error;
 
+use crate::draw::{Direction, Draw};
 use crate::kernel::Kernel;
 use crate::run::phases::levels;
 use crate::solver::Options;
@@ -21,7 +22,8 @@ pub struct MemoryError {
 ///
 /// Words of four bytes: the descent has the samples of all blocks twice, their gradient, and two
 /// mailboxes for halos; the polish has the samples of its larger blocks three times and a mailbox.
-/// Both have Adam's two moments twice, and the samples in cell order and as a tile.
+/// Both have Adam's two moments twice, and the samples in cell order and as a tile. Threads keep
+/// the draws of one cell each, with their directions; all draws of a step are never fewer.
 pub fn foreseen(options: &Options, kernel: &Kernel) -> u64 {
     const FIXED: u64 = 16 << 20;
     let Options { shape, polish, .. } = options;
@@ -35,9 +37,12 @@ pub fn foreseen(options: &Options, kernel: &Kernel) -> u64 {
         descent.saturating_mul(5).saturating_sub(tile.saturating_mul(2)),
         polish.saturating_mul(4),
     );
+    let directions = options.draw.directions.saturating_mul(size_of::<Direction>());
+    let draws = options.draw.draws.saturating_mul(size_of::<Draw>().saturating_add(directions));
     words
         .saturating_add(tile.saturating_mul(7))
         .saturating_mul((shape.spp() * shape.dims() * size_of::<f32>()) as u64)
+        .saturating_add(draws as u64)
         .saturating_add(FIXED)
 }
 

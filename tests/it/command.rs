@@ -1,0 +1,594 @@
+//! The command as scripts and people meet it: exit codes, messages, files, signals.
+
+use std::fs;
+use std::os::unix::fs::PermissionsExt;
+use std::path::Path;
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+use perceptile::format::sidecar::{Sidecar, digest};
+use perceptile::format::source::TileSource;
+use perceptile::tile::Tile;
+use proptest::prelude::*;
+use serde_json::Value;
+use tempfile::TempDir;
+
+const PROGRAM: &str = env!("CARGO_BIN_EXE_perceptile");
+
+/// A run that takes no time.
+const SMALL: &[&str] = &[
+    "optimize",
+    "--tile",
+    "8x9x4",
+    "--kernel",
+    "gaussian(1) * ema(0.5) @ 3x3x4",
+    "--steps",
+    "12",
+    "--draws",
+    "64",
+    "--polish",
+    "2",
+    "--warp",
+    "5",
+    "--integrands",
+    "2",
+];
+
+/// A run that goes on until it is told to stop.
+const LONG: &[&str] = &[
+    "optimize",
+    "--preset",
+    "quick",
+    "--tile",
+    "24x24x8",
+    "--steps",
+    "4000000000",
+    "--draws",
+    "256",
+    "--polish",
+    "0",
+    "--seed",
+    "3",
+    "--kernel",
+    "gaussian(1) * ema(0.5) @ 3x3x4",
+];
+
+/// What a command did, in a folder of its own.
+struct Folder(TempDir);
+
+impl Folder {
+    fn new() -> Self {
+        Self(tempfile::tempdir().unwrap())
+    }
+
+    fn path(&self) -> &Path {
+        self.0.path()
+    }
+
+    fn command(&self, args: &[&str]) -> Command {
+        let mut command = Command::new(PROGRAM);
+        command.args(args).current_dir(self.path()).env("RUST_BACKTRACE", "0");
+        command
+    }
+
+    fn run(&self, args: &[&str]) -> Output {
+        self.command(args).stdin(Stdio::null()).output().unwrap()
+    }
+
+    /// Runs what must succeed without a word on the standard error; returns what it printed.
+    fn succeed(&self, args: &[&str]) -> String {
+        let output = self.run(args);
+        let error = text(&output.stderr);
+        assert_eq!((output.status.code(), &*error), (Some(0), ""), "{args:?}");
+        text(&output.stdout)
+    }
+
+    /// Runs what must fail with an exit code, and a message with all the words; it leaves no file.
+    fn fail(&self, args: &[&str], code: i32, words: &[&str]) {
+        let before = self.names();
+        let begin = Instant::now();
+        let output = self.run(args);
+        let error = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(code), "{args:?}: {error}");
+        for word in words {
+            assert!(error.contains(word), "{args:?}: no {word:?} in {error}");
+        }
+        assert!(error.starts_with("error: "), "{args:?}: {error}");
+        assert!(!error.contains("panicked"), "{args:?}: {error}");
+        assert!(begin.elapsed() < Duration::from_secs(60), "{args:?} took its time to fail");
+        assert_eq!(self.names(), before, "{args:?}");
+    }
+
+    fn names(&self) -> Vec<String> {
+        let mut names: Vec<String> = fs::read_dir(self.path())
+            .unwrap()
+            .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+            .collect();
+        names.sort();
+        names
+    }
+
+    fn write(&self, name: &str, content: impl AsRef<[u8]>) {
+        fs::write(self.path().join(name), content).unwrap();
+    }
+
+    fn read(&self, name: &str) -> Vec<u8> {
+        fs::read(self.path().join(name)).unwrap()
+    }
+
+    /// The tile of a run and its provenance, which must belong together.
+    fn tile(&self, name: &str) -> (Tile, Sidecar) {
+        let path = self.path().join(name);
+        let tile = TileSource::new(path.clone()).read().unwrap();
+        let sidecar = Sidecar::read(&Sidecar::path_of(&path)).unwrap();
+        assert_eq!(sidecar.sha256, digest(&tile));
+        assert_eq!(sidecar.shape, tile.shape());
+        (tile, sidecar)
+    }
+
+    fn small(&self, more: &[&str]) -> String {
+        self.succeed(&[SMALL, more].concat())
+    }
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8(bytes.to_vec()).unwrap()
+}
+
+/// A `.npy` file of little-endian f32 with a header that says `shape`.
+fn npy(shape: &str, values: &[f32]) -> Vec<u8> {
+    let header = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': {shape}, }}");
+    let header = format!("{header:<117}\n");
+    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+    bytes.extend((header.len() as u16).to_le_bytes());
+    bytes.extend(header.as_bytes());
+    values.iter().for_each(|value| bytes.extend(value.to_le_bytes()));
+    bytes
+}
+
+#[test]
+fn a_run_leaves_a_tile_its_provenance_and_its_picture() {
+    let folder = Folder::new();
+    let printed = folder.small(&[]);
+    assert_eq!(folder.names(), ["tile.json", "tile.npy", "tile.png"]);
+    for word in ["all steps done", "14 steps", "tile.npy", "scores", "objective", "phases"] {
+        assert!(printed.contains(word), "no {word} in {printed}");
+    }
+    let (tile, sidecar) = folder.tile("tile.npy");
+    assert_eq!((tile.shape().width(), tile.shape().height(), tile.shape().frames()), (8, 9, 4));
+    assert_eq!(sidecar.kernel, "gaussian(1) * ema(0.5) @ 3x3x4");
+    assert!(sidecar.scores["classes"][0]["perceived"]["mean"].as_f64().unwrap() > 0.0);
+    let picture = png_size(&folder.read("tile.png"));
+    assert!(picture.0 > 0 && picture.1 > 0);
+}
+
+fn png_size(bytes: &[u8]) -> (u32, u32) {
+    let reader = png::Decoder::new(std::io::Cursor::new(bytes)).read_info().unwrap();
+    (reader.info().width, reader.info().height)
+}
+
+#[test]
+fn wrong_arguments_are_refused() {
+    let folder = Folder::new();
+    for (args, words) in [
+        (&["--tile", "0x8x8"][..], &["width is 0", "at least 1"][..]),
+        (&["--tile", "8x8x0"], &["frames is 0"]),
+        (&["--tile", "8x8"], &["8x8", "128x128x30"]),
+        (&["--tile", "-8x8x8"], &["-8"]),
+        (&["--tile", "8x8x8x8"], &["8x8x8x8"]),
+        (&["--tile", "99999999999999999999x8x8"], &["99999999999999999999x8x8"]),
+        (&["--tile", "1048577x8x8"], &["width is 1048577", "1048576"]),
+        (&["--tile", "1048576x1048576x1048576"], &["more coordinates than memory can address"]),
+        (&["--spp", "0"], &["spp is 0"]),
+        (&["--spp", "65"], &["spp is 65", "64"]),
+        (&["--dims", "0"], &["dims is 0"]),
+        (&["--dims", "17"], &["dims is 17", "16"]),
+        (&["--tile", "6x16x16"], &["7 pixels wide", "only 6"]),
+        (&["--tile", "16x6x16"], &["7 pixels high", "only 6"]),
+        (&["--tile", "16x16x7"], &["8 frames long", "only 7"]),
+        (&["--kernel", "gausian(2.1)"], &["gausian", "gaussian", "column", "^"]),
+        (&["--kernel", "gaussian(2.1) * "], &["^"]),
+        (&["--kernel", "gaussian(-1)"], &["-1", "^"]),
+        (&["--kernel", "gaussian(nan)"], &["^"]),
+        (&["--kernel", ""], &["^"]),
+        (&["--preset", "fast"], &["fast", "best", "quick", "paper", "paper-taa", "salaun"]),
+        (&["--steps", "-1"], &["-1"]),
+        (&["--steps", "4294967296"], &["4294967296"]),
+        (&["--draws", "0"], &["draws is 0", "1..=2^30"]),
+        (&["--draws", "2000000", "--tile", "8x8x8"], &["2000000 draws", "fewer draws"]),
+        (&["--directions", "17"], &["directions is 17"]),
+        (&["--rate", "nan"], &["rate is NaN"]),
+        (&["--rate", "0"], &["rate is 0"]),
+        (&["--beta1", "1"], &["beta1 is 1"]),
+        (&["--axis-share", "0.8", "--pair-share", "0.3"], &["1.1", "at most 1"]),
+        (&["--warp-rate", "inf"], &["warp-rate is inf"]),
+        (&["--polish-axis-weight=-1"], &["polish-axis-weight is -1"]),
+        (&["--seed", "-1"], &["-1"]),
+        (&["--time", "10y"], &["10y", "s, m or h"]),
+        (&["--time=-5s"], &["-5s"]),
+        (&["--time", "1e300h"], &["1e300h"]),
+        (&["--time", "nan"], &["nan"]),
+        (&["--workers", "1"], &["workers", "threads in this process"]),
+        (&["--threads", "-1"], &["-1"]),
+        (&["--threads", "1000000000"], &["1000000000", "1024"]),
+        (&["--integrands", "65537"], &["65537", "65536"]),
+        (&["--simd", "neon"], &["neon", "auto", "plain"]),
+        (&["--stpes", "5"], &["--stpes", "--steps"]),
+        (&["--kernel", "frame", "--tile", "256x256x2", "--polish", "3"], &["65536 taps", "polish"]),
+    ] {
+        folder.fail(&[&["optimize"], args].concat(), 2, words);
+    }
+    for args in [&["optimise"][..], &["kernel"], &["kernel", "box(2)", "b"], &["export", "x.npy"]] {
+        folder.fail(args, 2, &["Usage"]);
+    }
+}
+
+#[test]
+fn a_run_that_memory_cannot_hold_is_refused_at_once() {
+    let folder = Folder::new();
+    for tile in ["16384x16384x1024", "1048576x1048576x1", "1048576x1048576x1024"] {
+        folder.fail(&["optimize", "--preset", "salaun", "--tile", tile], 4, &["MB", "memory"]);
+    }
+    // Its draws need more than its samples do.
+    let draws = ["--tile", "8x8x8", "--kernel", "none", "--draws", "1000000000", "--directions"];
+    folder.fail(&[&["optimize"], &draws[..], &["16"]].concat(), 4, &["memory"]);
+    folder.fail(
+        &["optimize", "--tile", "8192x8192x64", "--dry-run", "--spp", "64"],
+        4,
+        &["memory"],
+    );
+}
+
+#[test]
+fn what_exists_is_replaced_only_with_force() {
+    let folder = Folder::new();
+    for (name, other) in [("tile.npy", "tile"), ("tile.json", "tile"), ("a.b.png", "a.b")] {
+        folder.write(name, b"precious");
+        folder.fail(&[SMALL, &["--out", &format!("{other}.npy")]].concat(), 3, &[name, "--force"]);
+        assert_eq!(folder.read(name), b"precious");
+        folder.small(&["--force", "--out", &format!("{other}.npy")]);
+        assert_ne!(folder.read(name), b"precious");
+    }
+    folder.fail(
+        &["export", "tile.npy", "--format", "png8", "--out", "nowhere/deep"],
+        1,
+        &["nowhere"],
+    );
+    folder.succeed(&["export", "tile.npy", "--format", "png8", "--out", "slices"]);
+    let slice = fs::read_dir(folder.path().join("slices")).unwrap().next().unwrap().unwrap().path();
+    fs::write(&slice, b"precious").unwrap();
+    folder.fail(&["export", "tile.npy", "--format", "png8", "--out", "slices"], 3, &["--force"]);
+    assert_eq!(fs::read(&slice).unwrap(), b"precious");
+    folder.succeed(&["export", "tile.npy", "--format", "png8", "--out", "slices", "--force"]);
+    folder.write("kernel.png", b"precious");
+    folder.fail(&["kernel", "box(3)"], 3, &["kernel.png", "--force"]);
+    assert_eq!(folder.read("kernel.png"), b"precious");
+    folder.succeed(&["kernel", "box(3)", "--force"]);
+    assert_ne!(folder.read("kernel.png"), b"precious");
+}
+
+#[test]
+fn outputs_that_cannot_be_written_are_noticed_before_the_run() {
+    let folder = Folder::new();
+    folder.fail(&[LONG, &["--out", "missing/tile.npy"]].concat(), 1, &["missing"]);
+    fs::create_dir(folder.path().join("dir.npy")).unwrap();
+    folder.fail(&[LONG, &["--out", "dir.npy"]].concat(), 1, &["dir.npy", "folder"]);
+    folder.fail(&[LONG, &["--out", "tile.json"]].concat(), 1, &["tile.json"]);
+    folder.fail(&[LONG, &["--out", "/dev/null"]].concat(), 1, &["/dev/null"]);
+    folder.fail(&[LONG, &["--out", ""]].concat(), 1, &["name"]);
+    let locked = folder.path().join("locked");
+    fs::create_dir(&locked).unwrap();
+    fs::set_permissions(&locked, fs::Permissions::from_mode(0o555)).unwrap();
+    // The superuser may write everywhere.
+    if fs::write(locked.join("probe"), b"").is_err() {
+        folder.fail(&[LONG, &["--out", "locked/tile.npy"]].concat(), 1, &["locked"]);
+    } else {
+        fs::remove_file(locked.join("probe")).unwrap();
+    }
+}
+
+#[test]
+fn files_that_are_no_tiles_are_refused() {
+    let folder = Folder::new();
+    let good: Vec<f32> = (0..32).map(|i| i as f32 / 32.0).collect();
+    let with = |value: f32| {
+        let mut values = good.clone();
+        values[5] = value;
+        npy("(2, 2, 2, 2, 2)", &values)
+    };
+    folder.write("nan.npy", with(f32::NAN));
+    folder.write("inf.npy", with(f32::INFINITY));
+    folder.write("one.npy", with(1.0));
+    folder.write("short.npy", &npy("(2, 2, 2, 2, 2)", &good)[..200]);
+    folder.write("header.npy", &npy("(2, 2, 2, 2, 2)", &good)[..50]);
+    folder.write("lying.npy", npy("(1000000, 1000000, 1000, 1, 2)", &good));
+    folder.write("overflow.npy", npy("(99999999999, 99999999999, 99999999999)", &good));
+    folder.write("less.npy", npy("(2, 2, 2, 1, 2)", &good));
+    folder.write("empty.npy", b"");
+    folder.write("text.npy", b"no tile at all");
+    for (name, words) in [
+        ("nan.npy", "NaN"),
+        ("inf.npy", "inf"),
+        ("one.npy", "1"),
+        ("short.npy", "bytes of data"),
+        ("header.npy", "header"),
+        ("lying.npy", "bytes of data"),
+        ("overflow.npy", "memory can address"),
+        ("less.npy", "bytes of data"),
+        ("empty.npy", "empty.npy"),
+        ("text.npy", "text.npy"),
+        ("absent.npy", "absent.npy"),
+        (".", "."),
+        ("/dev/zero", "/dev/zero"),
+    ] {
+        folder.fail(&["evaluate", name, "--kernel", "none"], 1, &[name, words]);
+        folder.fail(&["export", name, "--format", "png8", "--out", "out"], 1, &[name, words]);
+        folder.fail(&[LONG, &["--start", name]].concat(), 1, &[name, words]);
+    }
+    // A whole tile, but of another shape than the run's.
+    folder.write("other.npy", npy("(2, 2, 2, 2, 2)", &good));
+    folder.fail(&[LONG, &["--start", "other.npy"]].concat(), 2, &["2x2x2", "24x24x8"]);
+    folder.fail(&["evaluate", "other.npy"], 2, &["7 pixels wide", "other"]);
+    folder.fail(&["evaluate", "other.npy", "--kernel", "none", "--integrands", "0"], 2, &["0 int"]);
+    for (name, words) in
+        [("nan.npy", "NaN"), ("lying.npy", "bytes"), ("absent.npy", ""), ("/dev/zero", "")]
+    {
+        let kernel = format!("table(\"{name}\", origin=(0, 0, 0))");
+        folder.fail(&["kernel", &kernel], 1, &[name, words]);
+    }
+}
+
+#[test]
+fn a_file_of_settings_says_what_flags_say_and_flags_win() {
+    let folder = Folder::new();
+    folder.small(&["--out", "flags.npy", "--seed", "5"]);
+    folder.write(
+        "run.toml",
+        "tile = \"8x9x4\"\nkernel = \"gaussian(1) * ema(0.5) @ 3x3x4\"\nsteps = 12\ndraws = 64\n\
+         polish = 2\nwarp = 5\nseed = 4\n",
+    );
+    let config = ["optimize", "--config", "run.toml", "--integrands", "0", "--out"];
+    folder.succeed(&[&config[..], &["file.npy"]].concat());
+    folder.succeed(&[&config[..], &["both.npy", "--seed", "5"]].concat());
+    assert_eq!(folder.read("flags.npy"), folder.read("both.npy"));
+    assert_ne!(folder.read("flags.npy"), folder.read("file.npy"));
+
+    for (content, words) in [
+        ("stpes = 5", &["run.toml", "stpes"][..]),
+        ("steps = \"many\"", &["run.toml", "many"]),
+        ("steps = -1", &["run.toml", "-1"]),
+        ("tile = \"8x8\"", &["run.toml", "8x8"]),
+        ("kernel = \"gausian(1)\"", &["run.toml", "gausian"]),
+        ("preset = \"fast\"", &["run.toml", "fast", "quick"]),
+        ("steps = 5\nsteps = 6", &["run.toml", "steps"]),
+        ("steps = ", &["run.toml"]),
+        ("[table]\nsteps = 5", &["run.toml", "table"]),
+        ("tile = \"0x8x8\"", &["width is 0"]),
+        ("rate = nan", &["rate is NaN"]),
+    ] {
+        folder.write("run.toml", content);
+        folder.fail(&["optimize", "--config", "run.toml"], 2, words);
+    }
+    folder.write("run.toml", b"\xff\xfe");
+    folder.fail(&["optimize", "--config", "run.toml"], 1, &["run.toml"]);
+    folder.write("run.toml", vec![b'#'; (1 << 20) + 1]);
+    folder.fail(&["optimize", "--config", "run.toml"], 2, &["run.toml", "1048577"]);
+    folder.fail(&["optimize", "--config", "absent.toml"], 1, &["absent.toml"]);
+    for special in [".", "/dev/zero"] {
+        folder.fail(&["optimize", "--config", special], 1, &[special]);
+    }
+}
+
+#[test]
+fn a_dry_run_says_what_there_is_to_do_and_does_nothing() {
+    let folder = Folder::new();
+    let printed = folder.succeed(&["optimize", "--preset", "paper", "--dry-run"]);
+    for word in ["128x128x30", "10000 steps", "4096 draws", "memory", "MB"] {
+        assert!(printed.contains(word), "no {word} in {printed}");
+    }
+    assert!(folder.names().is_empty());
+}
+
+/// Starts the long run and waits until it is on its way.
+fn start(folder: &Folder, more: &[&str]) -> Child {
+    let mut command = folder.command(&[LONG, more].concat());
+    let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    // Handlers are installed when SigCgt names both signals.
+    let caught = (1_u64 << 1) | (1 << 14);
+    let status = format!("/proc/{}/status", child.id());
+    for _ in 0..600 {
+        let mask = fs::read_to_string(&status).ok().and_then(|text| {
+            let line =
+                text.lines().find_map(|line| line.strip_prefix("SigCgt:"))?.trim().to_owned();
+            u64::from_str_radix(&line, 16).ok()
+        });
+        if mask.is_some_and(|mask| mask & caught == caught) {
+            return child;
+        }
+        std::thread::sleep(Duration::from_millis(100));
+    }
+    panic!("the run does not listen to signals");
+}
+
+fn send(child: &Child, signal: &str) {
+    let line = format!("kill -{signal} {}", child.id());
+    assert!(Command::new("sh").args(["-c", &line]).status().unwrap().success());
+}
+
+#[test]
+fn signals_end_a_run_and_leave_its_tile() {
+    for (signal, code) in [("INT", 130), ("TERM", 143)] {
+        let folder = Folder::new();
+        let child = start(&folder, &["--threads", "2"]);
+        std::thread::sleep(Duration::from_millis(300));
+        send(&child, signal);
+        let output = child.wait_with_output().unwrap();
+        assert_eq!(output.status.code(), Some(code), "{}", text(&output.stderr));
+        assert!(text(&output.stdout).contains("interrupted"), "{}", text(&output.stdout));
+        assert_eq!(text(&output.stderr), "");
+        assert_eq!(folder.names(), ["tile.json", "tile.npy", "tile.png"]);
+        let (_, sidecar) = folder.tile("tile.npy");
+        assert!(sidecar.command.contains("--stop-after"), "{}", sidecar.command);
+
+        // The command on record is for a shell, and makes the same bytes.
+        let words = sidecar.command.strip_prefix("perceptile ").unwrap();
+        let line = format!("\"$0\" {words} --out again.npy --integrands 0 --threads 1");
+        let again = Command::new("sh")
+            .args(["-c", &line, PROGRAM])
+            .current_dir(folder.path())
+            .output()
+            .unwrap();
+        assert!(again.status.success(), "{line}: {}", text(&again.stderr));
+        assert_eq!(folder.read("tile.npy"), folder.read("again.npy"));
+    }
+}
+
+#[test]
+fn a_second_signal_ends_a_run_at_once() {
+    let folder = Folder::new();
+    // The uniformity step that the first signal leads to would take for ever.
+    let mut child = start(&folder, &["--warp", "4000000000"]);
+    send(&child, "INT");
+    std::thread::sleep(Duration::from_millis(500));
+    assert!(child.try_wait().unwrap().is_none());
+    send(&child, "INT");
+    assert_eq!(child.wait().unwrap().code(), Some(130));
+    assert!(folder.names().is_empty());
+}
+
+#[test]
+fn time_ends_a_run() {
+    let folder = Folder::new();
+    let printed = folder.succeed(&[LONG, &["--time", "1s", "--integrands", "2"]].concat());
+    assert!(printed.contains("time is up"), "{printed}");
+    let (_, sidecar) = folder.tile("tile.npy");
+    assert!(sidecar.command.contains("--stop-after"));
+    assert!(sidecar.seconds >= 1.0);
+}
+
+#[test]
+fn a_run_goes_on_from_a_tile() {
+    let folder = Folder::new();
+    folder.small(&["--out", "first.npy"]);
+    folder.small(&["--start", "first.npy", "--out", "second.npy"]);
+    let (_, sidecar) = folder.tile("second.npy");
+    assert!(sidecar.command.contains("--start first.npy"), "{}", sidecar.command);
+    folder.small(&["--start", "stratified", "--out", "third.npy"]);
+    assert_ne!(folder.read("second.npy"), folder.read("third.npy"));
+}
+
+#[test]
+fn kernels_are_shown() {
+    let folder = Folder::new();
+    let spec = "0.75: gaussian(1) * ema(0.5) @ 3x3x4 + 0.25: column";
+    let printed = folder.succeed(&["kernel", spec, "--tile", "8x8x6"]);
+    assert!(printed.contains("75.0 % of draws") && printed.contains("3x3x4"), "{printed}");
+    assert!(png_size(&folder.read("kernel.png")).0 > 0);
+    let printed = folder.succeed(&["kernel", spec, "--tile", "8x8x6", "--json"]);
+    let report: Value = serde_json::from_str(&printed).unwrap();
+    assert_eq!(report["kernel"], spec);
+    let taps = report["classes"][0]["taps"].as_array().unwrap();
+    assert_eq!(taps.len(), 36);
+    let mass: f64 = taps.iter().map(|tap| tap[3].as_f64().unwrap().abs()).sum();
+    assert!((mass - 1.0).abs() < 1e-12);
+    folder.fail(&["kernel", spec, "--json"], 2, &["--tile"]);
+    folder.fail(&["kernel", spec, "--tile", "8x8x3", "--json"], 2, &["4 frames long", "only 3"]);
+}
+
+#[test]
+fn tiles_are_evaluated_and_exported() {
+    let folder = Folder::new();
+    folder.small(&["--out", "a.npy"]);
+    folder.small(&["--out", "b.npy", "--seed", "9"]);
+    let kernel = ["--kernel", "gaussian(1) * ema(0.5) @ 3x3x4", "--integrands", "16"];
+    let table = folder.succeed(&[&["evaluate", "a.npy", "b.npy"], &kernel[..]].concat());
+    assert!(table.contains("linear") && table.contains("residual"), "{table}");
+    let json = folder.succeed(
+        &[&["evaluate", "a.npy", "b.npy", "--json", "--baselines", "white"], &kernel[..]].concat(),
+    );
+    let report: Value = serde_json::from_str(&json).unwrap();
+    let names: Vec<&str> =
+        report["tiles"].as_array().unwrap().iter().map(|t| t["name"].as_str().unwrap()).collect();
+    assert_eq!(names, ["a", "b", "white"]);
+    let linear = |tile: usize| {
+        report["tiles"][tile]["scores"]["classes"][0]["perceived"]["mean"].as_f64().unwrap()
+    };
+    assert!((0..3).all(|tile| linear(tile) > 0.0));
+
+    folder.succeed(&["export", "a.npy", "--format", "png16", "--out", "strip", "--strip"]);
+    let strip = fs::read_dir(folder.path().join("strip")).unwrap().next().unwrap().unwrap().path();
+    assert_eq!(png_size(&fs::read(&strip).unwrap()), (8, 36));
+    let source = TileSource { frames: Some(4), ..TileSource::new(strip) };
+    let (read, written) = (source.read().unwrap(), folder.tile("a.npy").0);
+    for (a, b) in read.samples().iter().zip(written.samples()) {
+        assert!((a - b).abs() <= 0.5 / 65536.0);
+    }
+}
+
+/// Pieces of which arguments are made, sensible and not.
+fn nonsense() -> impl Strategy<Value = String> {
+    let piece = prop_oneof![
+        prop::sample::select(
+            &[
+                "gaussian(",
+                "fovvideovdp(",
+                "ema(",
+                "box(",
+                "none",
+                "column",
+                "frame",
+                "table(\"",
+                "1e308",
+                "1e-308",
+                "0",
+                "1",
+                "60",
+                "16384",
+                "999999999999",
+                "-",
+                "x",
+                "*",
+                "+",
+                "@",
+                ":",
+                "%",
+                ")",
+                ",",
+                "radius=",
+                "8x8x8",
+                "0.5",
+                "nan",
+                "inf",
+                " ",
+                "s",
+                "m",
+                "h",
+            ][..]
+        )
+        .prop_map(str::to_owned),
+        "[^\\x00]",
+    ];
+    prop::collection::vec(piece, 0..12).prop_map(|pieces| pieces.concat())
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(150))]
+
+    #[test]
+    fn nothing_that_is_typed_makes_the_command_panic(word in nonsense(), which in 0..5) {
+        let folder = Folder::new();
+        let equals = |flag: &str| format!("--{flag}={word}");
+        let args = match which {
+            0 => vec!["kernel".to_owned(), "--json".to_owned(), "--".to_owned(), word],
+            1 => vec!["optimize".to_owned(), "--dry-run".to_owned(), equals("kernel")],
+            2 => vec!["optimize".to_owned(), "--dry-run".to_owned(), equals("tile")],
+            3 => vec!["optimize".to_owned(), "--dry-run".to_owned(), equals("time")],
+            _ => vec!["kernel".to_owned(), "--json".to_owned(), "box(2)".to_owned(), equals("tile")],
+        };
+        let args: Vec<&str> = args.iter().map(String::as_str).collect();
+        let output = folder.run(&args);
+        let error = text(&output.stderr);
+        prop_assert!(matches!(output.status.code(), Some(0 | 1 | 2 | 4)), "{args:?}: {error}");
+        prop_assert!(!error.contains("panicked"), "{args:?}: {error}");
+    }
+}

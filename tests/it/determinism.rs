@@ -1,0 +1,145 @@
+//! A tile is a function of its options, its seed and the program's version: not of threads,
+//! instruction sets, build profiles or interruptions.
+
+use perceptile::draw::DrawOptions;
+use perceptile::format::sidecar::digest;
+use perceptile::gradient::simd::Simd;
+use perceptile::run::observer::{Observer, Progress, Unobserved};
+use perceptile::run::phases::optimize;
+use perceptile::solver::adam::AdamOptions;
+use perceptile::solver::polish::PolishOptions;
+use perceptile::solver::warp::WarpOptions;
+use perceptile::solver::{Options, Start, StopReason, Summary};
+use perceptile::tile::{Tile, TileShape};
+use rayon::ThreadPoolBuilder;
+
+const PERCEPTION: &str = "0.9: gaussian(2.1) * fovvideovdp(60) @ 7x7x8 + 0.1: column";
+
+/// A short run in which every option is said.
+pub fn options(
+    [width, height, frames, spp, dims]: [usize; 5],
+    kernel: &str,
+    steps: u32,
+    polish: u32,
+) -> Options {
+    let adam = AdamOptions { rate: 0.01, final_rate: 0.0, beta1: 0.9, beta2: 0.99, epsilon: 1e-8 };
+    Options {
+        shape: TileShape::new(width, height, frames, spp, dims).unwrap(),
+        kernel: kernel.parse().unwrap(),
+        seed: 7,
+        start: Start::Random,
+        steps,
+        stop_after: None,
+        draw: DrawOptions {
+            draws: 500,
+            directions: 2,
+            threshold_range: 0.9,
+            axis_share: 0.1,
+            pair_share: 0.3,
+        },
+        adam,
+        polish: PolishOptions { steps: polish, axis_weight: 0.2, linear_weight: 0.5, adam },
+        warp: WarpOptions { frames: 20, rate: 0.5 },
+    }
+}
+
+/// The tile of a run that nobody watches.
+pub fn make(options: &Options) -> Tile {
+    optimize(options, None, Simd::detect(), &mut Unobserved).unwrap().0
+}
+
+#[test]
+fn threads_and_instruction_sets_leave_no_trace() {
+    for (shape, kernel, start, steps, polish) in [
+        ([37, 35, 8, 1, 2], PERCEPTION, Start::Random, 8, 3),
+        ([33, 50, 5, 3, 3], "gaussian(1.5) * ema(0.4) @ 5x5x4", Start::Stratified, 6, 2),
+        ([41, 19, 3, 2, 1], "gaussian(1) * gaussian_t(0.7) @ 5x5x3", Start::Random, 6, 2),
+        ([70, 18, 2, 1, 6], "0.5: gaussian(2) @ 6x7x1 + 0.5: box(2)", Start::Random, 6, 0),
+        ([32, 32, 2, 1, 2], "0.8: none + 0.2: frame", Start::Stratified, 4, 0),
+    ] {
+        let options = Options { start, ..options(shape, kernel, steps, polish) };
+        let run = |threads: usize, simd: Simd| {
+            let pool = ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| optimize(&options, None, simd, &mut Unobserved)).unwrap()
+        };
+        let (tile, summary) = run(1, Simd::detect());
+        for (threads, simd) in [(2, Simd::detect()), (8, Simd::detect()), (3, Simd::plain())] {
+            let (other, again) = run(threads, simd);
+            let label = format!("{kernel}, {threads} threads, {}", simd.name());
+            assert_eq!(digest(&tile), digest(&other), "{label}");
+            assert_eq!(summary.objective_after, again.objective_after, "{label}");
+        }
+        let other = Options { seed: 8, ..options.clone() };
+        assert_ne!(digest(&tile), digest(&make(&other)));
+    }
+}
+
+#[test]
+fn bytes_stay_what_they_were() {
+    // Changing these lines says that tiles of this version differ from those of earlier ones.
+    for (name, shape, kernel, polish, sha256) in [
+        ("perception", [36, 33, 8, 1, 2], PERCEPTION, 0, "GOLDEN0"),
+        ("signed", [20, 21, 15, 2, 3], "gaussian(1) * fovvideovdp(60) @ 3x3x15", 0, "GOLDEN1"),
+        ("polished", [24, 34, 9, 1, 2], PERCEPTION, 5, "GOLDEN2"),
+    ] {
+        assert_eq!(digest(&make(&options(shape, kernel, 25, polish))), sha256, "{name}");
+    }
+}
+
+/// Stops after a number of steps, counted over all phases.
+struct Interrupting {
+    after: u32,
+    done: u32,
+}
+
+impl Observer for Interrupting {
+    fn progress(&mut self, progress: Progress) {
+        use perceptile::solver::Phase;
+        self.done += u32::from(matches!(progress.phase, Phase::Descent | Phase::Polish));
+    }
+
+    fn stop(&self) -> Option<StopReason> {
+        (self.done >= self.after).then_some(StopReason::Interrupted)
+    }
+}
+
+#[test]
+fn a_run_that_was_interrupted_can_be_made_again() {
+    let whole = options([20, 18, 8, 1, 2], PERCEPTION, 9, 4);
+    let tile = make(&whole);
+    for after in [0, 1, 8, 9, 12, 13] {
+        let mut observer = Interrupting { after, done: 0 };
+        let (cut, summary) = optimize(&whole, None, Simd::detect(), &mut observer).unwrap();
+        assert_eq!(summary.steps, after);
+        let again = Options { stop_after: Some(after), ..whole.clone() };
+        let (same, told) = optimize(&again, None, Simd::detect(), &mut Unobserved).unwrap();
+        assert_eq!(digest(&cut), digest(&same), "{after} steps");
+        assert_eq!(cut == tile, after == 13, "{after} steps");
+        let reason = |stopped| if after < 13 { stopped } else { StopReason::Completed };
+        assert_eq!(summary.reason, reason(StopReason::Interrupted), "{after} steps");
+        assert_eq!(told.reason, reason(StopReason::StopAfter), "{after} steps");
+        let known = |summary: &Summary| summary.objective_before.is_some();
+        assert_eq!(known(&summary), after > 0);
+    }
+}
+
+#[test]
+fn a_start_from_a_tile_depends_on_that_tile_only() {
+    let first = make(&options([19, 17, 4, 2, 2], "gaussian(1) @ 3x3x1", 5, 0));
+    let options = options([19, 17, 4, 2, 2], "gaussian(1) @ 3x3x1", 5, 2);
+    let from = |tile: &Tile| {
+        let options = Options { start: Start::Tile, ..options.clone() };
+        optimize(&options, Some(tile), Simd::detect(), &mut Unobserved).unwrap().0
+    };
+    let copy = Tile::new(first.shape(), first.samples().to_vec()).unwrap();
+    assert_eq!(digest(&from(&first)), digest(&from(&copy)));
+    assert_ne!(digest(&from(&first)), digest(&make(&options)));
+    let nothing = Options { start: Start::Tile, steps: 0, ..options.clone() };
+    let nothing = Options {
+        polish: PolishOptions { steps: 0, ..nothing.polish },
+        warp: WarpOptions { frames: 0, rate: 0.5 },
+        ..nothing
+    };
+    let same = optimize(&nothing, Some(&first), Simd::detect(), &mut Unobserved).unwrap().0;
+    assert_eq!(digest(&same), digest(&first));
+}

@@ -1,0 +1,520 @@
+//! The fast gradient against the plain one, the plain one against finite differences, and the
+//! checker against gradients that are wrong.
+
+use glam::IVec3;
+use perceptile::draw::{CellDraws, DrawOptions, Draws, LevelSets, Stream, Use};
+use perceptile::gradient::reference::{self, ReferenceDraw};
+use perceptile::gradient::simd::Simd;
+use perceptile::gradient::{CellObjective, Gradient, Patch, Quantum, Workspace};
+use perceptile::kernel::{KernelSpec, KernelTaps, Tap};
+use perceptile::metric::Baseline;
+use perceptile::tile::{BELOW_ONE, Partition, Tile, TileShape};
+use proptest::prelude::*;
+
+/// A tile with all that its gradient depends on.
+#[derive(Debug, Clone)]
+pub struct Case {
+    pub tile: Tile,
+    pub levels: LevelSets,
+    pub draw: DrawOptions,
+    pub seed: u64,
+    pub step: u32,
+}
+
+const SHARES: DrawOptions = DrawOptions {
+    draws: 40,
+    directions: 1,
+    threshold_range: 1.0,
+    axis_share: 0.2,
+    pair_share: 0.3,
+};
+
+impl Case {
+    /// A tile of white noise with the kernel of a text.
+    pub fn of(shape: TileShape, kernel: &str, draw: DrawOptions, seed: u64) -> Self {
+        let kernel = kernel.parse::<KernelSpec>().unwrap().resolve(shape).unwrap();
+        let classes = kernel.classes().iter().map(|class| (class.weight, &class.taps));
+        let tile = Baseline::White.tile(shape, seed);
+        Self { tile, levels: LevelSets::new(classes), draw, seed, step: seed as u32 % 7 }
+    }
+
+    fn draws(&self) -> Draws {
+        Draws::new(self.draw, self.seed, self.levels.clone(), self.tile.shape().dims())
+    }
+
+    fn partition(&self) -> Partition {
+        Partition::new(self.tile.shape(), self.levels.reach(), 1)
+    }
+
+    fn gradient(&self, simd: Simd) -> Gradient {
+        let (draws, partition) = (self.draws(), self.partition());
+        let quantum = Quantum::new(&draws, &partition).expect("a unit for these draws");
+        Gradient::new(draws, partition, quantum, simd)
+    }
+
+    /// The draws of all cells in coordinates of the tile.
+    pub fn reference_draws(&self) -> Vec<ReferenceDraw> {
+        let (draws, partition) = (self.draws(), self.partition());
+        let mut found = Vec::new();
+        for cell in 0..partition.cells() {
+            let place = partition.cell(cell);
+            let mut of_cell = CellDraws::default();
+            draws.cell(&partition, self.step, cell, &mut of_cell);
+            let directions = of_cell.directions.chunks(self.draw.directions);
+            for (draw, directions) in of_cell.draws.iter().zip(directions) {
+                let (x, y) = (place.x as u32 + draw.x, place.y as u32 + draw.y);
+                found.push(ReferenceDraw {
+                    pixel: IVec3::new(x as i32, y as i32, draw.t as i32),
+                    set: draw.set as usize,
+                    taps: draw.taps as usize,
+                    directions: directions.to_vec(),
+                });
+            }
+        }
+        found
+    }
+
+    /// The samples of a draw's subset, in the order of the taps.
+    fn subset(&self, draw: &ReferenceDraw) -> Vec<usize> {
+        let shape = self.tile.shape();
+        let size = IVec3::new(shape.width() as i32, shape.height() as i32, shape.frames() as i32);
+        self.levels.sets()[draw.set].offsets[..draw.taps]
+            .iter()
+            .flat_map(|&offset| {
+                let place = (draw.pixel + offset).rem_euclid(size).as_usizevec3();
+                let pixel = shape.pixel(place.x, place.y, place.z);
+                (0..shape.spp()).map(move |s| pixel * shape.spp() + s)
+            })
+            .collect()
+    }
+
+    /// Projection of a sample.
+    fn project(&self, sample: usize, theta: &[f32]) -> f64 {
+        let dims = self.tile.shape().dims();
+        let point = &self.tile.samples()[sample * dims..(sample + 1) * dims];
+        point.iter().zip(theta).map(|(&x, &theta)| f64::from(x) * f64::from(theta)).sum()
+    }
+}
+
+/// The integer gradient of a tile as the blocks of a partition have it.
+struct Blocks {
+    patches: Vec<Vec<i32>>,
+    objectives: Vec<CellObjective>,
+}
+
+/// Computes all cells in the given order with one workspace.
+fn fast(case: &Case, gradient: &Gradient, order: impl IntoIterator<Item = usize>) -> Blocks {
+    let shape = case.tile.shape();
+    let partition = gradient.partition();
+    let mut blocks = Blocks {
+        patches: vec![Vec::new(); partition.cells()],
+        objectives: vec![CellObjective::default(); partition.cells()],
+    };
+    let mut workspace = Workspace::default();
+    for cell in order {
+        let (place, block) = (partition.cell(cell), partition.block(cell));
+        let mut samples = Vec::new();
+        for t in 0..block.frames {
+            for y in 0..block.height {
+                for x in 0..block.width {
+                    let around = |start: usize, at: usize, lead: usize, size: usize| {
+                        (start as i64 + at as i64 - lead as i64).rem_euclid(size as i64) as usize
+                    };
+                    let x = around(place.x, x, block.left, shape.width());
+                    let y = around(place.y, y, block.up, shape.height());
+                    (0..shape.spp()).for_each(|s| samples.extend(case.tile.point(x, y, t, s)));
+                }
+            }
+        }
+        // What is left in a patch must not matter.
+        let mut words = vec![7; samples.len()];
+        let patch = Patch { words: &mut words };
+        blocks.objectives[cell] = gradient.cell(case.step, cell, &samples, patch, &mut workspace);
+        blocks.patches[cell] = words;
+    }
+    blocks
+}
+
+/// Adds the halos to the pixels that they are copies of: one word per coordinate in C order.
+fn fold(partition: &Partition, blocks: &Blocks) -> Vec<i64> {
+    let shape = partition.shape();
+    let pixel = shape.spp() * shape.dims();
+    let mut patches: Vec<Vec<i64>> = blocks
+        .patches
+        .iter()
+        .map(|patch| patch.iter().map(|&word| i64::from(word)).collect())
+        .collect();
+    for halo in (0..partition.cells()).flat_map(|cell| partition.halo(cell)) {
+        for run in &halo.runs {
+            for word in 0..run.len * pixel {
+                let sum = i64::from(blocks.patches[halo.cell][run.halo_pixel * pixel + word]);
+                patches[halo.owner][run.owner_pixel * pixel + word] += sum;
+            }
+        }
+    }
+    let mut words = vec![0; shape.coordinates()];
+    for (cell, patch) in patches.iter().enumerate() {
+        let (place, block) = (partition.cell(cell), partition.block(cell));
+        for t in 0..shape.frames() {
+            for y in 0..place.height {
+                for x in 0..place.width {
+                    let from = block.pixel(x, y, t) * pixel;
+                    let to = shape.pixel(place.x + x, place.y + y, t) * pixel;
+                    words[to..to + pixel].copy_from_slice(&patch[from..from + pixel]);
+                }
+            }
+        }
+    }
+    words
+}
+
+/// What the plain gradient says, and by how much the fast one may differ.
+struct Oracle {
+    pulls: Vec<f64>,
+    allowed: Vec<f64>,
+}
+
+impl Oracle {
+    fn new(case: &Case, unit: f32) -> Self {
+        let dims = case.tile.shape().dims();
+        let draws = case.reference_draws();
+        let mut allowed = vec![0.0; case.tile.samples().len()];
+        for draw in &draws {
+            let subset = case.subset(draw);
+            let n = subset.len();
+            for sample in &subset {
+                // Half a unit for rounding to an integer.
+                (0..dims).for_each(|k| allowed[sample * dims + k] += 0.5 * f64::from(unit));
+            }
+            for direction in &draw.directions {
+                let theta = &direction.theta[..dims];
+                let mut projections: Vec<(f64, usize)> =
+                    subset.iter().map(|&sample| (case.project(sample, theta), sample)).collect();
+                projections.sort_by(|a, b| a.0.total_cmp(&b.0));
+                // The plain targets come from a quadrature of a square root, the fast ones of
+                // more than two components from tables; neither is exact at the ends.
+                let exact = theta.iter().filter(|&&x| x != 0.0).count() <= 2;
+                let slack = 1e-6
+                    + 1e-4 / (n as f64).sqrt()
+                    + if exact { 0.0 } else { 2e-4 + 2e-5 * n as f64 };
+                let target = |rank: usize| reference::target(theta, rank, n);
+                for (rank, &(projection, sample)) in projections.iter().enumerate() {
+                    // In f32 neighbours this close may change places; equal ones never do.
+                    let near = [rank.wrapping_sub(1), rank + 1].into_iter().filter(|&other| {
+                        let gap = projections.get(other).map(|p| (p.0 - projection).abs());
+                        gap.is_some_and(|gap| gap > 0.0 && gap < 2e-6)
+                    });
+                    let swap: f64 = near.map(|other| (target(other) - target(rank)).abs()).sum();
+                    for (k, theta) in theta.iter().enumerate() {
+                        allowed[sample * dims + k] += (slack + swap) * f64::from(theta.abs());
+                    }
+                }
+            }
+        }
+        Self { pulls: reference::pulls(&case.tile, &case.levels, &draws), allowed }
+    }
+
+    /// Whether a gradient in units of the quantum is right.
+    fn check(&self, words: &[i64], unit: f32) -> Result<(), String> {
+        for (i, &word) in words.iter().enumerate() {
+            let (found, expected) = (word as f64 * f64::from(unit), self.pulls[i]);
+            let allowed = self.allowed[i] + 1e-6 * expected.abs();
+            if (found - expected).abs() > allowed {
+                return Err(format!("coordinate {i}: {found}, not {expected} (±{allowed:.1e})"));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Compares both gradients.
+fn compare(case: &Case) -> Result<(), TestCaseError> {
+    let gradient = case.gradient(Simd::detect());
+    let unit = gradient.quantum().unit();
+    let blocks = fast(case, &gradient, 0..gradient.partition().cells());
+    let oracle = Oracle::new(case, unit);
+    let checked = oracle.check(&fold(gradient.partition(), &blocks), unit);
+    prop_assert!(checked.is_ok(), "{}", checked.unwrap_err());
+    let directions: usize = blocks.objectives.iter().map(|o| o.directions).sum();
+    prop_assert_eq!(directions, case.draw.draws * case.draw.directions);
+    Ok(())
+}
+
+/// Kernels of every kind with the smallest tile that they fit.
+const KERNELS: [(&str, [usize; 3]); 9] = [
+    ("gaussian(1.2) * fovvideovdp(60) @ 5x5x8", [5, 5, 8]),
+    ("gaussian(2.1) * ema(0.3) @ 7x7x4", [7, 7, 4]),
+    ("gaussian_t(1) * gaussian(0.7) @ 3x3x5", [3, 3, 5]),
+    ("gaussian(2.1) @ 7x6x1", [7, 6, 1]),
+    ("gaussian(5) @ 17x9x1", [17, 9, 1]),
+    ("none", [1, 1, 1]),
+    ("column", [1, 1, 1]),
+    ("0.5: box(3) + 2: frame", [1, 1, 3]),
+    ("0.9: gaussian(1) * fovvideovdp(60) @ 3x3x15 + 0.1: column", [3, 3, 15]),
+];
+
+/// Any of the kernels on a tile at most a bit larger than it must be.
+fn kernel_and_size() -> impl Strategy<Value = (&'static str, [usize; 3])> {
+    (prop::sample::select(&KERNELS[..]), [0_usize..14, 0_usize..9, 0_usize..4]).prop_map(
+        |((kernel, least), more)| (kernel, [0, 1, 2].map(|axis| least[axis] + more[axis])),
+    )
+}
+
+/// Any taps that span no more than the size, wherever they lie.
+fn taps(size: [i32; 3]) -> impl Strategy<Value = KernelTaps> {
+    let place = (0..size[0], 0..size[1], 0..size[2]);
+    let low = prop::array::uniform3(-12..12_i32);
+    let weight = prop_oneof![-1.0..-0.01, 0.01..2.0_f64];
+    (prop::collection::btree_map(place, weight, 1..40), low).prop_map(|(taps, low)| {
+        let low = IVec3::from_array(low);
+        let tap = |((x, y, z), weight)| Tap { offset: low + IVec3::new(x, y, z), weight };
+        KernelTaps::new(taps.into_iter().map(tap)).unwrap()
+    })
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(48))]
+
+    #[test]
+    fn the_fast_gradient_equals_the_plain_one(
+        (kernel, [width, height, frames]) in kernel_and_size(),
+        spp in 1_usize..5, dims in prop_oneof![1_usize..6, Just(8)], directions in 1_usize..4,
+        threshold_range in prop_oneof![Just(1.0), 0.3..1.0_f64], seed: u64,
+    ) {
+        let shape = TileShape::new(width, height, frames, spp, dims).unwrap();
+        // The plain targets of general directions lose their digits in many dimensions.
+        let pair_share = if dims > 4 { 0.8 } else { 0.3 };
+        let draw = DrawOptions { directions, threshold_range, pair_share, ..SHARES };
+        compare(&Case::of(shape, kernel, draw, seed))?;
+    }
+
+    #[test]
+    fn any_taps_wrap_around_any_tile(
+        (size, taps) in [1..9_i32, 1..9_i32, 1..7_i32].prop_flat_map(|size| (Just(size), taps(size))),
+        more in [0_usize..30, 0_usize..3, 0_usize..3], spp in 1_usize..3, seed: u64,
+    ) {
+        let [width, height, frames] = [0, 1, 2].map(|axis| size[axis] as usize + more[axis]);
+        let shape = TileShape::new(width, height, frames, spp, 2).unwrap();
+        let levels = LevelSets::new([(1.0, &taps)]);
+        let tile = Baseline::White.tile(shape, seed);
+        compare(&Case { tile, levels, draw: SHARES, seed, step: 3 })?;
+    }
+
+    /// As many equal pulls on one sample as there can be, each as large as it can be.
+    #[test]
+    fn sums_stay_exact_at_the_limits(
+        width in 1_usize..4, dims in prop_oneof![Just(1_usize), Just(2), Just(4)],
+        directions in 1_usize..17, draws in 1_usize..300, ones: u8, seed: u64,
+    ) {
+        let shape = TileShape::new(width, 1, 2, 1, dims).unwrap();
+        let draw = DrawOptions { draws, directions, pair_share: 0.8, ..SHARES };
+        let mut case = Case::of(shape, "column", draw, seed);
+        let corner = |i: usize| if ones >> (i % 8) & 1 == 1 { BELOW_ONE } else { 0.0 };
+        case.tile = Tile::new(shape, (0..shape.coordinates()).map(corner).collect()).unwrap();
+        compare(&case)?;
+    }
+
+    #[test]
+    fn bits_depend_on_neither_instructions_nor_order(
+        (kernel, [width, height, frames]) in kernel_and_size(),
+        spp in 1_usize..4, dims in 1_usize..17, directions in 1_usize..3, seed: u64,
+    ) {
+        let shape = TileShape::new(width + 64, height + 20, frames, spp, dims).unwrap();
+        let case = Case::of(shape, kernel, DrawOptions { directions, ..SHARES }, seed);
+        let gradient = case.gradient(Simd::detect());
+        let cells = gradient.partition().cells();
+        let forward = fast(&case, &gradient, 0..cells);
+        for (gradient, backward) in
+            [(&gradient, true), (&case.gradient(Simd::plain()), false)]
+        {
+            let order: Box<dyn Iterator<Item = usize>> =
+                if backward { Box::new((0..cells).rev()) } else { Box::new(0..cells) };
+            let other = fast(&case, gradient, order);
+            prop_assert_eq!(&forward.patches, &other.patches);
+            for (a, b) in forward.objectives.iter().zip(&other.objectives) {
+                prop_assert_eq!(a.squared_distance.to_bits(), b.squared_distance.to_bits());
+            }
+        }
+    }
+}
+
+#[test]
+fn the_objective_of_the_fast_gradient_is_half_of_the_plain_one_per_sample() {
+    for (dims, spp) in [(1, 2), (2, 1), (3, 1)] {
+        let shape = TileShape::new(9, 8, 8, spp, dims).unwrap();
+        let draw = DrawOptions { draws: 30, directions: 2, ..SHARES };
+        let case = Case::of(shape, "gaussian(1) * fovvideovdp(60) @ 5x5x8", draw, 3);
+        let gradient = case.gradient(Simd::detect());
+        let cells = gradient.partition().cells();
+        let found: f64 =
+            fast(&case, &gradient, 0..cells).objectives.iter().map(|o| o.squared_distance).sum();
+        let w2 = |draw: &ReferenceDraw| {
+            let half_sum =
+                reference::objective(&case.tile, &case.levels, std::slice::from_ref(draw));
+            2.0 * half_sum / (draw.taps * spp) as f64
+        };
+        let expected: f64 = case.reference_draws().iter().map(w2).sum();
+        assert!((found / expected - 1.0).abs() < 1e-3, "{dims}: {found} {expected}");
+    }
+}
+
+/// More samples than are ranked by counting.
+#[test]
+fn large_subsets_are_sorted_right() {
+    for (kernel, spp, dims, axis_share) in [("frame", 1, 2, 0.1), ("frame", 2, 3, 0.1)] {
+        let shape = TileShape::new(21, 19, 2, spp, dims).unwrap();
+        let draw = DrawOptions { draws: 3, axis_share, ..SHARES };
+        compare(&Case::of(shape, kernel, draw, 11)).unwrap();
+    }
+    let shape = TileShape::new(13, 13, 4, 2, 2).unwrap();
+    let draw = DrawOptions { draws: 30, ..SHARES };
+    let case = Case::of(shape, "gaussian(6) * box(3) @ 13x13x3", draw, 4);
+    assert!(case.reference_draws().iter().any(|draw| draw.taps > 288));
+    compare(&case).unwrap();
+}
+
+#[test]
+fn the_plain_gradient_equals_finite_differences() {
+    const STEP: f32 = 1.0 / (1 << 15) as f32;
+    for (kernel, dims, directions) in [
+        ("gaussian(1) * fovvideovdp(60) @ 3x3x8", 2, 1),
+        ("gaussian(1) * ema(0.5) @ 3x3x3", 1, 1),
+        ("gaussian(1) * ema(0.5) @ 3x3x3", 3, 2),
+        ("0.7: gaussian(1) @ 3x3x1 + 0.3: column", 4, 2),
+    ] {
+        let shape = TileShape::new(5, 4, 8, 2, dims).unwrap();
+        let draw = DrawOptions { draws: 20, directions, ..SHARES };
+        let mut case = Case::of(shape, kernel, draw, 5);
+        // Room for a step to both sides, and coordinates to which a step adds up exactly.
+        let round = |x: &f32| (x * 4000.0).round() / 4096.0 + 0.01;
+        let round = |x: &f32| (round(x) / STEP).round() * STEP;
+        case.tile = Tile::new(shape, case.tile.samples().iter().map(round).collect()).unwrap();
+        let draws = case.reference_draws();
+        // Samples that no step can bring past another one of their subset.
+        let mut free = vec![true; shape.samples()];
+        let mut touched = vec![false; shape.samples()];
+        for draw in &draws {
+            let subset = case.subset(draw);
+            for direction in &draw.directions {
+                let mut order: Vec<(f64, usize)> = subset
+                    .iter()
+                    .map(|&sample| (case.project(sample, &direction.theta[..dims]), sample))
+                    .collect();
+                order.sort_by(|a, b| a.0.total_cmp(&b.0));
+                for pair in order.windows(2).filter(|pair| pair[1].0 - pair[0].0 < f64::from(STEP))
+                {
+                    (free[pair[0].1], free[pair[1].1]) = (false, false);
+                }
+                subset.iter().for_each(|&sample| touched[sample] = true);
+            }
+        }
+        let pulls = reference::pulls(&case.tile, &case.levels, &draws);
+        let subsets: Vec<Vec<usize>> = draws.iter().map(|draw| case.subset(draw)).collect();
+        let objective = |word: usize, by: f32| {
+            let mut samples = case.tile.samples().to_vec();
+            samples[word] += by;
+            let tile = Tile::new(shape, samples).unwrap();
+            // Other draws do not see the sample.
+            let seeing: Vec<ReferenceDraw> = draws
+                .iter()
+                .zip(&subsets)
+                .filter(|(_, subset)| subset.contains(&(word / dims)))
+                .map(|(draw, _)| draw.clone())
+                .collect();
+            reference::objective(&tile, &case.levels, &seeing)
+        };
+        let words: Vec<usize> = (0..shape.coordinates())
+            .filter(|word| free[word / dims] && touched[word / dims])
+            .collect();
+        assert!(words.len() > shape.coordinates() / 4, "{}", words.len());
+        for word in words.into_iter().step_by(13) {
+            let slope = (objective(word, STEP) - objective(word, -STEP)) / (2.0 * f64::from(STEP));
+            let pull = pulls[word];
+            assert!((slope + pull).abs() < 1e-7, "{kernel}: coordinate {word}: {slope} {pull}");
+        }
+    }
+}
+
+#[test]
+fn wrong_gradients_are_caught() {
+    let shape = TileShape::new(40, 9, 8, 2, 2).unwrap();
+    let draw = DrawOptions { draws: 400, ..SHARES };
+    let case = Case::of(shape, "gaussian(2.1) * fovvideovdp(60) @ 7x7x8", draw, 8);
+    let gradient = case.gradient(Simd::detect());
+    let partition = gradient.partition();
+    let unit = gradient.quantum().unit();
+    let oracle = Oracle::new(&case, unit);
+    let blocks = fast(&case, &gradient, 0..partition.cells());
+    let words = fold(partition, &blocks);
+    assert_eq!(oracle.check(&words, unit), Ok(()));
+
+    let damaged = |name: &str, words: Vec<i64>| {
+        assert!(oracle.check(&words, unit).is_err(), "{name} was not noticed");
+    };
+    let of_each = |change: &dyn Fn(i64) -> i64| words.iter().map(|&word| change(word)).collect();
+    damaged("the wrong sign", of_each(&|word| -word));
+    damaged("a wrong factor", of_each(&|word| word + word / 50));
+    let mut one = words.clone();
+    *one.iter_mut().find(|word| **word != 0).unwrap() += (0.01 / unit) as i64;
+    damaged("one wrong coordinate", one);
+    let mut turned = words.clone();
+    turned.rotate_left(1);
+    damaged("a shift by one coordinate", turned);
+    damaged("swapped coordinates", words.chunks(2).flat_map(|p| [p[1], p[0]]).collect());
+    let mut lost = fast(&case, &gradient, 0..partition.cells());
+    let halo = &partition.halo(0)[0];
+    for run in &halo.runs {
+        lost.patches[0][run.halo_pixel * 4..(run.halo_pixel + run.len) * 4].fill(0);
+    }
+    damaged("a lost halo", fold(partition, &lost));
+    let mut stale = case.clone();
+    stale.step += 1;
+    damaged(
+        "another step's draws",
+        fold(partition, &fast(&stale, &gradient, 0..partition.cells())),
+    );
+    let mut whole = case.clone();
+    whole.draw.threshold_range = 0.9;
+    let other = whole.gradient(Simd::detect());
+    damaged("other thresholds", fold(partition, &fast(&whole, &other, 0..partition.cells())));
+    // Every sample of a draw takes the target of the next rank.
+    let mut next: Vec<i64> = words.clone();
+    for draw in case.reference_draws() {
+        let subset = case.subset(&draw);
+        for sample in &subset {
+            for k in 0..2 {
+                let by = draw.directions[0].theta[k] / subset.len() as f32 / unit;
+                next[sample * 2 + k] += by as i64;
+            }
+        }
+    }
+    damaged("ranks from 1", next);
+}
+
+/// No draw can pull harder than the unit was chosen for, whatever the options.
+#[test]
+fn the_unit_of_gradients_leaves_room_for_all_pulls() {
+    let mut stream = Stream::new(2, Use::Baseline, 0, 0);
+    for _ in 0..300 {
+        let mut below = |limit: u32| 1 + stream.below(limit) as usize;
+        let dims = below(16);
+        let shape = TileShape::new(below(40), below(40), below(4), below(4), dims).unwrap();
+        let kernel = ["column", "frame", "0.5: frame + 0.5: column", "none"][below(4) - 1];
+        let draw = DrawOptions { draws: 1 << (below(17) - 1), directions: below(16), ..SHARES };
+        let case = Case::of(shape, kernel, draw, 1);
+        let (draws, partition) = (case.draws(), case.partition());
+        let Some(quantum) = Quantum::new(&draws, &partition) else { continue };
+        let mut touches = vec![0_u64; shape.samples()];
+        // Frames of many pixels are slow to count; a few draws do for them.
+        if draw.draws * draws.levels().longest() > 1 << 22 {
+            continue;
+        }
+        for draw in case.reference_draws() {
+            case.subset(&draw).into_iter().for_each(|sample| touches[sample] += 1);
+        }
+        let pull = draw.directions as f64 * (dims as f64).sqrt() * f64::from(quantum.scale());
+        let most = touches.into_iter().max().unwrap() as f64;
+        assert!((pull + 0.5) * most < f64::from(i32::MAX), "{case:?}");
+        assert!(pull < f64::from(1 << 22));
+    }
+}
