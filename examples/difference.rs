@@ -51,7 +51,8 @@ fn main() -> anyhow::Result<()> {
         let (n, sum) = values.fold((0, 0.0), |(n, sum), x| (n + 1, sum + x * x));
         (sum / n.max(1) as f32).sqrt()
     };
-    let contrast = [spread(0..2), spread(2..4)];
+    // White noise would hide the others: what is perceived is magnified until it saturates.
+    let contrast = [spread(0..2), 0.3 * spread(2..4)];
     let step = SIDE * SCALE + GAP;
     let (width, height) = (4 * step - GAP, (rows.len() * step).max(step) - GAP);
     let image = Image::gray(width, height, |x, y| {

@@ -7,7 +7,9 @@
 
 mod local;
 mod plan;
+mod word;
 mod world;
 
 pub use plan::{Combine, Endpoint, Message, Plan, PlanError, Segment};
-pub use world::{Commit, Word, World};
+pub use word::Word;
+pub use world::{Commit, World};

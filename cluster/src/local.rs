@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use crate::plan::{Combine, Plan};
-use crate::world::Word;
+use crate::word::Word;
 
 /// Carries out `plan`: first every message is packed into the mailbox, then every block unpacks
 /// what it gets, in the order of the plan. Both halves run in parallel without sharing a word.

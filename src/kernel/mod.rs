@@ -26,4 +26,4 @@ pub use spec::{
     Truncation,
 };
 pub use table::TableError;
-pub use taps::{KernelTaps, Reach, SignClass, Tap, TapsError};
+pub use taps::{KernelTaps, SignClass, Tap, TapsError};

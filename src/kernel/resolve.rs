@@ -507,7 +507,7 @@ mod tests {
             assert_eq!(class.taps.taps().len(), count);
             assert!(class.taps.taps().iter().all(|tap| tap.weight == 1.0 / count as f64));
         }
-        assert_eq!(column.taps.reach().future, 0);
+        assert_eq!(column.taps.bounds().1.z, 0);
         let error = spec("column").resolve_without_tile().unwrap_err();
         assert_eq!(error.problem, ResolveProblem::NeedsTile);
     }

@@ -88,20 +88,6 @@ impl KernelTaps {
         (high.as_i64vec3() - low.as_i64vec3()).to_array().map(|n| n.unsigned_abs() + 1)
     }
 
-    /// How far the offsets reach from the pixel that is filtered, in each direction.
-    pub fn reach(&self) -> Reach {
-        let (low, high) = self.bounds();
-        let far = |n: i32| n.max(0).unsigned_abs();
-        Reach {
-            left: far(low.x.saturating_neg()),
-            right: far(high.x),
-            up: far(low.y.saturating_neg()),
-            down: far(high.y),
-            past: far(low.z.saturating_neg()),
-            future: far(high.z),
-        }
-    }
-
     /// Σg: how much of a constant error passes; 1 where no weight is negative.
     pub fn sum(&self) -> f64 {
         self.taps.iter().map(|tap| tap.weight).sum()
@@ -145,24 +131,6 @@ impl KernelTaps {
     }
 }
 
-/// How far a kernel reaches from the pixel that is filtered, in pixels and frames; 0 where it
-/// does not go that way at all.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Reach {
-    /// Towards negative dx.
-    pub left: u32,
-    /// Towards positive dx.
-    pub right: u32,
-    /// Towards negative dy.
-    pub up: u32,
-    /// Towards positive dy.
-    pub down: u32,
-    /// Towards negative dt.
-    pub past: u32,
-    /// Towards positive dt.
-    pub future: u32,
-}
-
 /// The taps of one sign: a draw takes a sign class with probability proportional to its `peak`
 /// and a threshold uniform in (0, `peak`); its subset is the prefix of larger weights (Eq. 7).
 #[derive(Debug, Clone, PartialEq)]
@@ -197,11 +165,7 @@ mod tests {
         assert_eq!(kernel.effective_taps(), 1.0 / kernel.power());
         assert_eq!(kernel.mean_subset(), 1.0 / 0.875);
         assert_eq!(kernel.size(), [3, 2, 5]);
-        let reach = Reach { left: 0, right: 2, up: 1, down: 0, past: 4, future: 0 };
-        assert_eq!(kernel.reach(), reach);
-        // A kernel that leaves out the pixel itself still reaches from it.
-        let reach = taps(&[(3, 0, 1, 1.0)]).reach();
-        assert_eq!((reach.left, reach.right, reach.past, reach.future), (0, 3, 0, 1));
+        assert_eq!(kernel.bounds(), (IVec3::new(0, -1, -4), IVec3::new(2, 0, 0)));
         assert_eq!(taps(&[(i32::MIN, 0, 0, 1.0), (i32::MAX, 0, 0, 1.0)]).size(), [1 << 32, 1, 1]);
     }
 

@@ -9,6 +9,7 @@
 
 mod accumulation;
 mod baseline;
+mod error;
 mod exact;
 mod fourier;
 mod integrand;
@@ -21,9 +22,10 @@ mod uniformity;
 
 pub use accumulation::accumulated_mean_square;
 pub use baseline::{Baseline, UnknownBaseline};
+pub use error::ScoreError;
 pub use integrand::{Class, Domain, Integrand, IntegrandSet, LEAST_VARIANCE, integrand_sets};
 pub use perceived::{MeanSquares, Perceived, PerceivedWorkspace};
 pub use quantization::quantized;
-pub use scores::{ClassScore, Ratio, ScoreError, ScoreOptions, Scorer, Scores};
+pub use scores::{ClassScore, Ratio, ScoreOptions, Scorer, Scores};
 pub use spectrum::{ClassSpectra, Ring, Spectrum, spectra};
 pub use uniformity::{Histogram, histogram, residual};

@@ -4,8 +4,8 @@
 //! and time, toroidally. Its mean square over the tile needs no filtered image: by Parseval it is
 //! Σ |ĝ|²|ê|² over the frequencies, and |ĝ|² is computed once for a tile's shape.
 
+use super::error::ScoreError;
 use super::fourier::{FieldTransform, Workspace};
-use super::scores::ScoreError;
 use crate::kernel::KernelTaps;
 use crate::tile::TileShape;
 

@@ -2,45 +2,14 @@
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use thiserror::Error;
 
 use super::accumulation::accumulated_mean_square;
+use super::error::{MOST_INTEGRANDS, ScoreError};
 use super::integrand::{Class, Domain, Integrand, IntegrandSet, integrand_sets};
 use super::perceived::Perceived;
 use super::uniformity::{Histogram, histogram, residual};
 use crate::kernel::KernelTaps;
 use crate::tile::{Tile, TileShape};
-
-/// Most integrands of a class.
-const MOST_INTEGRANDS: usize = 1 << 16;
-
-/// Why a tile cannot be scored.
-#[derive(Debug, Error, Clone, Copy, PartialEq, Eq)]
-pub enum ScoreError {
-    /// The kernel is wider than the tile.
-    #[error(
-        "the kernel spans {extent} in {axis}, but the tile only {size}: it must not be wider than the tile"
-    )]
-    Kernel {
-        /// `x`, `y` or `t`.
-        axis: &'static str,
-        /// From the kernel's first tap to its last, both included.
-        extent: i64,
-        /// The tile's size.
-        size: usize,
-    },
-    /// The number of integrands is out of range.
-    #[error("{0} integrands of each class were asked for, but 1 to 65536 are possible")]
-    Integrands(usize),
-    /// The tile has another shape than the scorer was made for.
-    #[error("a tile of {found} was given to the scorer of {expected}")]
-    Shape {
-        /// The scorer's.
-        expected: TileShape,
-        /// The tile's.
-        found: TileShape,
-    },
-}
 
 /// Which integrands a tile is scored on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]

@@ -6,9 +6,10 @@
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+use super::error::ScoreError;
 use super::fourier::FieldTransform;
 use super::integrand::{Class, Domain, Integrand, integrand_sets};
-use super::scores::{ScoreError, ScoreOptions};
+use super::scores::ScoreOptions;
 use crate::tile::{Tile, TileShape};
 
 /// Integrands whose spectra are held at a time, so that memory does not grow with their number.
