@@ -326,9 +326,17 @@ fn files_that_are_no_tiles_are_refused() {
     folder.fail(&[LONG, &["--start", "other.npy"]].concat(), 2, &["2x2x2", "24x24x8"]);
     folder.fail(&["evaluate", "other.npy"], 2, &["7 pixels wide", "other"]);
     folder.fail(&["evaluate", "other.npy", "--kernel", "none", "--integrands", "0"], 2, &["0 int"]);
-    for (name, words) in
-        [("nan.npy", "NaN"), ("lying.npy", "bytes"), ("absent.npy", ""), ("/dev/zero", "")]
-    {
+    let mut table = good[..8].to_vec();
+    table[3] = f32::NAN;
+    folder.write("table.npy", npy("(2, 2, 2)", &table));
+    folder.write("long.npy", npy("(1000000, 1000000, 1000)", &table));
+    for (name, words) in [
+        ("table.npy", "NaN"),
+        ("long.npy", "1000000"),
+        ("other.npy", "3 axes"),
+        ("absent.npy", ""),
+        ("/dev/zero", ""),
+    ] {
         let kernel = format!("table(\"{name}\", origin=(0, 0, 0))");
         folder.fail(&["kernel", &kernel], 1, &[name, words]);
     }

@@ -76,20 +76,20 @@ fn threads_and_instruction_sets_leave_no_trace() {
 
 #[test]
 fn bytes_stay_what_they_were() {
+    const SIGNED: &str = "gaussian(1) * fovvideovdp(60) @ 3x3x15";
+    let found = [
+        options([36, 33, 8, 1, 2], PERCEPTION, 25, 0),
+        options([20, 21, 15, 2, 3], SIGNED, 25, 0),
+        options([24, 34, 9, 1, 2], PERCEPTION, 25, 5),
+    ]
+    .map(|options| digest(&make(&options)));
     // Changing these lines says that tiles of this version differ from those of earlier ones.
-    for (name, shape, kernel, polish, sha256) in [
-        (
-            "perception",
-            [36, 33, 8, 1, 2],
-            PERCEPTION,
-            0,
-            "e335972deca7e496e907d6925f5752b6a80c4a26b1d977d0148301a3ba26f1b9",
-        ),
-        ("signed", [20, 21, 15, 2, 3], "gaussian(1) * fovvideovdp(60) @ 3x3x15", 0, "GOLDEN1"),
-        ("polished", [24, 34, 9, 1, 2], PERCEPTION, 5, "GOLDEN2"),
-    ] {
-        assert_eq!(digest(&make(&options(shape, kernel, 25, polish))), sha256, "{name}");
-    }
+    let known = [
+        "e335972deca7e496e907d6925f5752b6a80c4a26b1d977d0148301a3ba26f1b9",
+        "045d3e77791beca3255eb55942bc99b1f246744945c98cb6c94f914fd623aee2",
+        "GOLDEN2",
+    ];
+    assert_eq!(found, known);
 }
 
 /// Stops after a number of steps, counted over all phases.
