@@ -395,8 +395,9 @@ fn a_dry_run_says_what_there_is_to_do_and_does_nothing() {
 
 /// Starts the long run and waits until it is on its way.
 fn start(folder: &Folder, more: &[&str]) -> Child {
-    let mut command = folder.command(&[LONG, more].concat());
-    let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    // The time is a leash, should no signal arrive.
+    let mut command = folder.command(&[LONG, more, &["--time", "2m"]].concat());
+    let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     // Handlers are installed when SigCgt names both signals.
     let caught = (1_u64 << 1) | (1 << 14);
     let status = format!("/proc/{}/status", child.id());
@@ -411,6 +412,8 @@ fn start(folder: &Folder, more: &[&str]) -> Child {
         }
         std::thread::sleep(Duration::from_millis(100));
     }
+    child.kill().unwrap();
+    child.wait().unwrap();
     panic!("the run does not listen to signals");
 }
 

@@ -87,7 +87,7 @@ fn bytes_stay_what_they_were() {
     let known = [
         "e335972deca7e496e907d6925f5752b6a80c4a26b1d977d0148301a3ba26f1b9",
         "045d3e77791beca3255eb55942bc99b1f246744945c98cb6c94f914fd623aee2",
-        "GOLDEN2",
+        "1bfa3947d6d1951a7a02d691ceb8652964c98316cd50a590f66661aa33402b5d",
     ];
     assert_eq!(found, known);
 }
