@@ -5,7 +5,7 @@ use perceptile::metric::{Class, ClassScore, Domain, Ratio, Scores};
 use super::{Entry, Report};
 
 /// Characters of a column of numbers.
-const COLUMN: usize = 13;
+const COLUMN: usize = 16;
 /// Characters of the column of histograms.
 const HISTOGRAM: usize = 20;
 
@@ -107,13 +107,13 @@ impl Section {
     fn row(&self, entry: &Entry, ratios: &[Ratio], label: usize) -> String {
         let mut row = format!("{:label$}", entry.name);
         for Ratio { mean, standard_error } in ratios {
-            row += &format!("{:>COLUMN$}", format!("{mean:.3} ±{standard_error:.3}"));
+            row += &format!("{:>COLUMN$}", format!("{mean:.4} ±{standard_error:.4}"));
         }
         if self.uniformity {
             let scores = (self.scores)(entry);
             let histogram = scores.histogram;
             let cells = format!(
-                "{:.2}–{:.2} ({:.3})",
+                "{:.2}–{:.2} ({:.4})",
                 histogram.smallest, histogram.largest, histogram.rms
             );
             row += &format!("{:>COLUMN$.2}{cells:>HISTOGRAM$}", scores.bias);
@@ -134,7 +134,7 @@ impl Section {
             let quotient = ours / theirs;
             let text = if quotient.is_finite() { format!("{quotient:.3}") } else { "–".into() };
             // Below the numbers, not below their errors.
-            format!("{:<COLUMN$}", format!("{text:>6}"))
+            format!("{:<COLUMN$}", format!("{text:>7}"))
         };
         let (ours, theirs) = (self.ratios(entry)?, self.ratios(reference)?);
         let mut row = format!("{against:label$}");
@@ -206,12 +206,12 @@ mod tests {
         assert!(heading.ends_with("residual"));
         assert_eq!(heading.chars().count(), stbn.chars().count());
         assert_eq!(stbn.chars().count(), ours.chars().count());
-        assert!(ours.contains("0.100 ±0.001") && ours.contains("0.90–1.10 (0.010)"), "{ours}");
+        assert!(ours.contains("0.1000 ±0.0010") && ours.contains("0.90–1.10 (0.0100)"), "{ours}");
         assert!(comparison.starts_with("÷ stbn") && comparison.matches("0.200").count() == 8);
         let place = |line: &str, word: &str| {
             line.char_indices().position(|(byte, _)| line[byte..].starts_with(word)).unwrap()
         };
-        assert_eq!(place(ours, "0.100"), place(comparison, "0.200"));
+        assert_eq!(place(ours, "0.1000"), place(comparison, "0.200"));
         // No tile has the last kind of score.
         assert!(!text.contains("perceived\n") && text.contains("mean of half a period"));
     }
