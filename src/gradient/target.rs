@@ -29,6 +29,28 @@ impl Targets {
         Self { dims, tables: set.magnitudes().iter().map(table).collect() }
     }
 
+    /// The inverse CDF along `direction` at `u` in [0, 1], counted from its lower end.
+    pub fn quantile(&self, direction: &Direction, u: f64) -> f64 {
+        match direction.density {
+            Density::Trapezoid => {
+                let (mut a, mut b) = (0.0_f64, 0.0_f64);
+                for x in direction.theta.map(|x| f64::from(x.abs())) {
+                    (a, b) = (a.max(x), b.max(a.min(x)));
+                }
+                let half = |u: f64| {
+                    if u * 2.0 * a <= b { libm::sqrt(2.0 * a * b * u) } else { a * u + 0.5 * b }
+                };
+                if u <= 0.5 { half(u) } else { a + b - half(1.0 - u) }
+            }
+            Density::Table { index } => {
+                let table = &self.tables[index as usize];
+                let (low, high) =
+                    ((u - 0.5 / NODES as f64).max(0.0), (u + 0.5 / NODES as f64).min(1.0));
+                (integral(table, high) - integral(table, low)) / (high - low)
+            }
+        }
+    }
+
     /// Writes the targets along `direction` of all ranks of a set of `targets.len()` samples.
     #[inline(always)]
     pub fn fill(&self, direction: &Direction, targets: &mut [f32]) {
@@ -46,20 +68,23 @@ impl Targets {
             Density::Table { index } => {
                 let table = &self.tables[index as usize];
                 let n = targets.len() as f64;
-                let at = |u: f64| {
-                    let place = u * NODES as f64;
-                    let node = (place as usize).min(NODES - 1);
-                    table[node] + (table[node + 1] - table[node]) * (place - node as f64)
-                };
                 let mut below = 0.0;
                 for (i, target) in targets.iter_mut().enumerate() {
-                    let above = at((i + 1) as f64 / n);
+                    let above = integral(table, (i + 1) as f64 / n);
                     *target = ((above - below) * n) as f32 + low;
                     below = above;
                 }
             }
         }
     }
+}
+
+/// The integral of the inverse CDF from 0 to `u`, from a table of it.
+#[inline(always)]
+fn integral(table: &[f64], u: f64) -> f64 {
+    let place = u * NODES as f64;
+    let node = (place as usize).min(NODES - 1);
+    table[node] + (table[node + 1] - table[node]) * (place - node as f64)
 }
 
 /// Targets for the sum of two independent uniform numbers on [0, a] and [0, b], a ≥ b ≥ 0.
@@ -165,6 +190,26 @@ mod tests {
                 let expected = reference::target(&theta[..2], rank, n);
                 let error = f64::from(targets[rank]) - expected;
                 prop_assert!(error.abs() < 1e-4 / (n as f64).sqrt(), "{error}");
+            }
+        }
+    }
+
+    #[test]
+    fn means_of_quantiles_are_targets() {
+        for dims in [1, 2, 3, 7] {
+            let set = DirectionSet::new(dims);
+            let all = Targets::new(&set);
+            let mut stream = Stream::new(9, Use::Directions, 0, 0);
+            for u in [0.1, 0.6] {
+                let direction = set.any(u, &mut stream);
+                let low: f64 = direction.theta.iter().map(|x| f64::from(x.min(0.0))).sum();
+                let mut targets = [0.0; 20];
+                all.fill(&direction, &mut targets);
+                for (rank, target) in targets.into_iter().enumerate() {
+                    let points = (0..200).map(|k| (rank as f64 + (k as f64 + 0.5) / 200.0) / 20.0);
+                    let mean = points.map(|u| all.quantile(&direction, u)).sum::<f64>() / 200.0;
+                    assert!((mean + low - f64::from(target)).abs() < 1e-4, "{dims}: {rank}");
+                }
             }
         }
     }

@@ -2,7 +2,8 @@
 //!
 //! Sliced transport on the bounded cube leaves its corners under-filled, a bias that no averaging
 //! removes. The warp moves all samples of the tile as one point set: along the two axes of a
-//! random frame in the plane of a pair of dimensions, it carries the distribution of projections
+//! random frame in the plane of a pair of dimensions (or, in more than two, along a direction
+//! through all), it carries the distribution of projections
 //! to the one of the uniform density, and does so again for many frames (iterative distribution
 //! transfer, Pitié et al. 2005). The map depends on the place of a sample in the cube only, so
 //! neighbours in the cube stay neighbours, and the error's distribution over pixels survives.
@@ -14,7 +15,8 @@ use perceptile_cluster::World;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use crate::draw::{DirectionSet, Stream, Use};
+use crate::draw::{Direction, DirectionSet, Stream, Use};
+use crate::gradient::Targets;
 use crate::gradient::simd::{Simd, Vectorized};
 use crate::solver::state::CellSamples;
 use crate::tile::{MAX_DIMS, clamp_coordinate};
@@ -22,7 +24,8 @@ use crate::tile::{MAX_DIMS, clamp_coordinate};
 /// How the warp is done.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct WarpOptions {
-    /// Number of frames; 0 leaves the tile as it is.
+    /// Number of frames, in more than two dimensions for each other dimension that one has; 0
+    /// leaves the tile as it is.
     pub frames: u32,
     /// Share of the way that samples go for each frame, in (0, 1].
     pub rate: f64,
@@ -45,26 +48,13 @@ pub fn warp(
     simd: Simd,
 ) {
     let set = DirectionSet::new(dims);
+    let targets = Targets::new(&set);
     let chunk = CHUNK / dims * dims;
-    for frame in 0..options.frames {
+    // As many times as a dimension has partners.
+    for frame in 0..options.frames * dims.saturating_sub(1).max(1) as u32 {
         let mut stream = Stream::new(seed, Use::Warp, frame, 0);
-        let angle = stream.unit();
-        let axes: Vec<Axis> = match dims {
-            1 => vec![Axis::new(set.axis(0).theta, dims)],
-            _ => {
-                let first = set.random_pair(angle, &mut stream).theta;
-                // Turned by a right angle in the plane of the same pair.
-                let mut second = [0.0; MAX_DIMS];
-                let mut pair = (0..dims).filter(|&k| first[k] != 0.0);
-                let (a, b) = match (pair.next(), pair.next()) {
-                    (Some(a), Some(b)) => (a, b),
-                    (Some(a), None) => (a, (a + 1) % dims),
-                    _ => (0, 1),
-                };
-                (second[a], second[b]) = (-first[b], first[a]);
-                vec![Axis::new(first, dims), Axis::new(second, dims)]
-            }
-        };
+        let directions = directions(&set, frame, &mut stream);
+        let axes: Vec<Axis> = directions.into_iter().map(|d| Axis::new(d, dims)).collect();
         let mut counts = samples
             .words
             .par_chunks(chunk)
@@ -86,7 +76,7 @@ pub fn warp(
         let maps: Vec<Vec<f32>> = axes
             .iter()
             .zip(counts.chunks(BINS))
-            .map(|(axis, counts)| axis.displacements(counts, options.rate))
+            .map(|(axis, counts)| axis.displacements(&targets, counts, options.rate))
             .collect();
         samples.words.par_chunks_mut(chunk).for_each(|points| {
             simd.run(Move { axes: &axes, maps: &maps, dims, points });
@@ -94,9 +84,29 @@ pub fn warp(
     }
 }
 
+/// The directions of a frame: a right angle in the plane of a pair of dimensions, or, in more
+/// than two dimensions every other time, one direction through all of them.
+fn directions(set: &DirectionSet, frame: u32, stream: &mut Stream) -> Vec<Direction> {
+    let u = stream.unit();
+    let dims = set.dims();
+    if dims == 1 || (dims > 2 && frame % 2 == 1) {
+        return vec![set.any(u, stream)];
+    }
+    let first = set.random_pair(u, stream);
+    let mut second = Direction { theta: [0.0; MAX_DIMS], ..first };
+    let mut pair = (0..dims).filter(|&k| first.theta[k] != 0.0);
+    let (a, b) = match (pair.next(), pair.next()) {
+        (Some(a), Some(b)) => (a, b),
+        (Some(a), None) => (a, (a + 1) % dims),
+        _ => (0, 1),
+    };
+    (second.theta[a], second.theta[b]) = (-first.theta[b], first.theta[a]);
+    vec![first, second]
+}
+
 /// A direction with the ends of its projections.
 struct Axis {
-    theta: [f32; MAX_DIMS],
+    direction: Direction,
     low: f32,
     length: f32,
     /// Bins per unit.
@@ -104,10 +114,11 @@ struct Axis {
 }
 
 impl Axis {
-    fn new(theta: [f32; MAX_DIMS], dims: usize) -> Self {
+    fn new(direction: Direction, dims: usize) -> Self {
+        let theta = direction.theta;
         let low: f32 = theta[..dims].iter().map(|x| x.min(0.0)).sum();
         let length: f32 = theta[..dims].iter().map(|x| x.abs()).sum();
-        Self { theta, low, length, density: BINS as f32 / length }
+        Self { direction, low, length, density: BINS as f32 / length }
     }
 
     /// Place of a point among the bins.
@@ -115,13 +126,13 @@ impl Axis {
     fn place(&self, point: &[f32]) -> f32 {
         let mut projection = 0.0;
         for (k, &x) in point.iter().enumerate() {
-            projection += self.theta[k] * x;
+            projection += self.direction.theta[k] * x;
         }
         ((projection - self.low) * self.density).clamp(0.0, BINS as f32)
     }
 
     /// How far to move the points at the edges of the bins.
-    fn displacements(&self, counts: &[i64], rate: f64) -> Vec<f32> {
+    fn displacements(&self, targets: &Targets, counts: &[i64], rate: f64) -> Vec<f32> {
         let total: i64 = counts.iter().sum();
         let mut below = 0_i64;
         let mut at_edge = |edge: usize| {
@@ -130,22 +141,9 @@ impl Axis {
                 below += count;
             }
             let place = f64::from(self.length) * edge as f64 / BINS as f64;
-            (rate * (self.quantile(u) - place)) as f32
+            (rate * (targets.quantile(&self.direction, u) - place)) as f32
         };
         (0..=BINS).map(&mut at_edge).collect()
-    }
-
-    /// Inverse CDF of the projected uniform density, from its lower end (a trapezoid, of which
-    /// `gradient::target` has the means).
-    fn quantile(&self, u: f64) -> f64 {
-        let (mut a, mut b) = (0.0_f64, 0.0_f64);
-        for x in self.theta.map(|x| f64::from(x.abs())) {
-            (a, b) = (a.max(x), b.max(a.min(x)));
-        }
-        let half = |u: f64| {
-            if u * 2.0 * a <= b { libm::sqrt(2.0 * a * b * u) } else { a * u + 0.5 * b }
-        };
-        if u <= 0.5 { half(u) } else { a + b - half(1.0 - u) }
     }
 }
 
@@ -190,7 +188,7 @@ impl Vectorized for Move<'_> {
                 let bin = (place as usize).min(BINS - 1);
                 let f = place - bin as f32;
                 let by = map[bin] + (map[bin + 1] - map[bin]) * f;
-                for (x, theta) in moved.iter_mut().zip(axis.theta) {
+                for (x, theta) in moved.iter_mut().zip(axis.direction.theta) {
                     *x += by * theta;
                 }
             }
@@ -289,21 +287,5 @@ mod tests {
                 assert!(samples.words.iter().all(|x| (0.0..1.0).contains(x)));
             }
         }
-    }
-
-    #[test]
-    fn quantiles_are_those_of_sorted_projections() {
-        let points = even(1 << 16, 2);
-        let mut theta = [0.0; MAX_DIMS];
-        (theta[0], theta[1]) = (-0.6, 0.8);
-        let axis = Axis::new(theta, 2);
-        let mut projections: Vec<f64> =
-            points.chunks(2).map(|p| 0.6 * (1.0 - p[0]) + 0.8 * p[1]).collect();
-        projections.sort_by(f64::total_cmp);
-        for u in [0.0, 0.01, 0.2, 0.5, 0.77, 0.99] {
-            let expected = projections[(u * projections.len() as f64) as usize];
-            assert!((axis.quantile(u) - expected).abs() < 5e-3, "{u}: {expected}");
-        }
-        assert!((axis.quantile(1.0) - 1.4).abs() < 1e-6);
     }
 }
