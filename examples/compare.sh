@@ -64,15 +64,10 @@ for case in 'spp 4' 'spp 16' 'dims 3' 'dims 4' 'dims 8'; do
         "$dir/$what$count.npy" "$dir/$what$count-spatial.npy"
 done
 
-still='0.06: column + 0.1: box(8)'
-# Longer than usual, so that what differs is the kernel and not how far the run has come.
-long='--steps 8000 --polish 400'
-# shellcheck disable=SC2086
-make ablation-gaussian $long --kernel "0.84: gaussian(2.1) * gaussian_t(2.1) @ 7x7x8 + $still"
-# shellcheck disable=SC2086
-make ablation-taa $long --kernel "0.84: gaussian(2.1) * ema(0.2) @ 7x7x15 + $still"
-# shellcheck disable=SC2086
-make ablation-full $long --kernel "0.84: $taa + $still"
+# The kernels alone, without draws for still pictures, as in the paper's Table 3.
+make ablation-gaussian --kernel 'gaussian(2.1) * gaussian_t(2.1) @ 7x7x8'
+make ablation-taa --kernel 'gaussian(2.1) * ema(0.2) @ 7x7x15'
+make ablation-full --kernel "$taa"
 mapfile -t ablation < <(tiles ablation-full ablation-taa ablation-gaussian)
 score 'Ablation: full kernel, TAA only, Gaussian, all behind the full kernel' "$taa" '' \
     "${ablation[@]}"
