@@ -10,8 +10,6 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use indicatif::{ProgressBar, ProgressStyle};
 use perceptile::format::picture::Image;
-use perceptile::format::png::Channels;
-use perceptile::format::source::TileSource;
 use perceptile::format::write::{self, Existing};
 use perceptile::kernel::KernelSpec;
 use perceptile::metric::{
@@ -22,6 +20,7 @@ use perceptile::tile::{Tile, TileShape};
 use serde::Serialize;
 
 use super::print;
+use super::source::SourceArgs;
 
 /// Seed of the comparison tiles.
 const BASELINE_SEED: u64 = 1;
@@ -69,17 +68,8 @@ pub struct EvaluateArgs {
     #[arg(long, value_name = "DIR")]
     spectra: Option<PathBuf>,
 
-    /// Dimensions to take of every tile, in order, such as `rg` (r, g, b, a are 0, 1, 2, 3).
-    #[arg(long)]
-    channels: Option<Channels>,
-
-    /// Samples per pixel of the tiles, where their files do not say them.
-    #[arg(long)]
-    spp: Option<usize>,
-
-    /// Frames of the tiles, where their files do not say them.
-    #[arg(long)]
-    frames: Option<usize>,
+    #[command(flatten)]
+    source: SourceArgs,
 
     /// Replace pictures of spectra that exist.
     #[arg(long)]
@@ -180,12 +170,7 @@ fn candidates(args: &EvaluateArgs) -> Result<Vec<Candidate>, anyhow::Error> {
     };
     let mut candidates = Vec::new();
     for path in paths {
-        let source = TileSource {
-            path,
-            channels: args.channels.clone(),
-            spp: args.spp,
-            frames: args.frames,
-        };
+        let source = args.source.at(path);
         let tile = source.read()?;
         // A folder's name has no extension, whatever dots it contains.
         let stem =

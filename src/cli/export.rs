@@ -4,10 +4,11 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use clap::{Args, ValueEnum};
-use perceptile::format::png::{Channels, Depth};
+use perceptile::format::png::Depth;
 use perceptile::format::slices::{SliceOptions, write_slices};
-use perceptile::format::source::TileSource;
 use perceptile::format::write::{self, Existing};
+
+use super::source::SourceArgs;
 
 /// Write a tile as PNG files, one for each frame.
 ///
@@ -32,17 +33,8 @@ pub struct ExportArgs {
     #[arg(long)]
     strip: bool,
 
-    /// Dimensions of the tile to take, in order, such as `rg` (r, g, b, a are 0, 1, 2, 3).
-    #[arg(long)]
-    channels: Option<Channels>,
-
-    /// Samples per pixel of the tile, where its file does not say them.
-    #[arg(long)]
-    spp: Option<usize>,
-
-    /// Frames of the tile, where its file does not say them.
-    #[arg(long)]
-    frames: Option<usize>,
+    #[command(flatten)]
+    source: SourceArgs,
 
     /// Replace files that exist.
     #[arg(long)]
@@ -63,8 +55,7 @@ enum ExportFormat {
 /// # Errors
 /// A tile that cannot be read, files that exist without `--force` or cannot be written.
 pub fn run(args: ExportArgs) -> Result<()> {
-    let source =
-        TileSource { path: args.tile, channels: args.channels, spp: args.spp, frames: args.frames };
+    let source = args.source.at(args.tile);
     let tile = source.read()?;
     let stem = source.path.file_stem().unwrap_or("tile".as_ref()).to_string_lossy();
     let options = SliceOptions {

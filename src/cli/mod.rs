@@ -7,6 +7,7 @@ mod export;
 mod kernel;
 mod optimize;
 mod settings;
+mod source;
 
 use std::io::{self, Write};
 use std::process::ExitCode;

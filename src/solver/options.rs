@@ -163,6 +163,8 @@ impl Preset {
             Self::PaperTaa => PERCEPTION_TAA_30,
             Self::Salaun => "gaussian(2.1) @ 7x7x1",
         };
+        let adam =
+            AdamOptions { rate: 0.02, final_rate: 0.0, beta1: 0.9, beta2: 0.99, epsilon: 1e-8 };
         let paper = matches!(self, Self::Paper | Self::PaperTaa);
         let (width, height, frames) = size;
         Options {
@@ -179,34 +181,17 @@ impl Preset {
                 axis_share: 0.1,
                 pair_share: 0.3,
             },
-            adam: AdamOptions {
-                rate: 0.02,
-                final_rate: 0.0,
-                beta1: 0.9,
-                beta2: 0.99,
-                epsilon: 1e-8,
-            },
-            polish: PolishOptions {
-                steps: polish,
-                axis_weight: 0.15,
-                linear_weight: 1.0,
-                adam: AdamOptions {
-                    rate: 0.02,
-                    final_rate: 0.0,
-                    beta1: 0.9,
-                    beta2: 0.99,
-                    epsilon: 1e-8,
-                },
-            },
+            adam,
+            polish: PolishOptions { steps: polish, axis_weight: 0.15, linear_weight: 1.0, adam },
             warp: WarpOptions { frames: 400, rate: 0.5 },
         }
     }
 }
 
 /// The paper's kernel, with a share of draws that keep the error of a still picture small while it
-/// accumulates, over a whole period and over half of one. Measured at 64×64×16: for one or two per
-/// cent of perceived error, both shares together cut the error of the mean of a period fourfold
-/// and that of half a period by half.
+/// accumulates, over a whole period and over half of one. Measured at 64×64×16 with 2,000 steps: a
+/// share of 0.06 on box(8) took the error of the mean of eight frames from 0.36 to 0.18 (linear)
+/// and from 0.56 to 0.46 (edge), and the perceived error of edges from 0.110 to 0.111.
 const PERCEPTION: &str =
     "0.84: gaussian(2.1) * fovvideovdp(60) @ 7x7x8 + 0.06: column + 0.1: box(8)";
 /// The same for the 30 frames of the paper's tile.
