@@ -6,7 +6,8 @@
 /// Values compared at a time.
 const LANES: usize = 8;
 
-/// Largest set that is ranked by counting; the two methods cost the same near 300 values.
+/// Largest set that is ranked by counting: an estimate of where both methods cost the same, from
+/// n²/8 comparisons against 5 to 11 ns for each sorted value.
 const COUNTING_LIMIT: usize = 288;
 
 /// Writes to `ranks[i]` how many of `values` come before `values[i]`: those that are smaller, and
