@@ -105,9 +105,13 @@ pub fn run(args: OptimizeArgs) -> anyhow::Result<ExitCode> {
         let message = format!("{} threads are too many: at most {MAX_THREADS}", args.threads);
         return Err(Misuse(message).into());
     }
-    memory::check(&options, &kernel)?;
+    let threads = match args.threads {
+        0 => std::thread::available_parallelism().map_or(1, usize::from),
+        threads => threads,
+    };
+    memory::check(&options, &kernel, threads)?;
     if args.dry_run {
-        print(&plan(&options, &kernel))?;
+        print(&plan(&options, &kernel, threads))?;
         return Ok(ExitCode::SUCCESS);
     }
     let existing = Existing::from_force(args.force);
@@ -119,9 +123,9 @@ pub fn run(args: OptimizeArgs) -> anyhow::Result<ExitCode> {
         SimdChoice::Plain => Simd::plain(),
     };
     let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(args.threads)
+        .num_threads(threads)
         .build()
-        .map_err(|error| Misuse(format!("{} threads cannot be had: {error}", args.threads)))?;
+        .map_err(|error| Misuse(format!("{threads} threads cannot be had: {error}")))?;
     let signals = Signals::install().context("cannot listen for signals")?;
     let begin = Instant::now();
     let mut watch = Watch {
@@ -220,7 +224,7 @@ fn progress_bar() -> ProgressBar {
 }
 
 /// What `--dry-run` prints.
-fn plan(options: &Options, kernel: &Kernel) -> String {
+fn plan(options: &Options, kernel: &Kernel, threads: usize) -> String {
     let mut text = String::new();
     let mut line = |words: String| text += &(words + "\n");
     line(format!("tile        {}", options.shape));
@@ -229,7 +233,7 @@ fn plan(options: &Options, kernel: &Kernel) -> String {
         "work        {} steps of {} draws, {} full-batch steps, {} warp frames",
         options.steps, options.draw.draws, options.polish.steps, options.warp.frames
     ));
-    line(format!("memory      {} MB", memory::foreseen(options, kernel) >> 20));
+    line(format!("memory      {} MB", memory::foreseen(options, kernel, threads) >> 20));
     line(format!("tile file   {:.1} MB", (options.shape.coordinates() * 4) as f64 / 1e6));
     text
 }

@@ -17,6 +17,20 @@ pub struct Direction {
     pub density: Density,
 }
 
+impl Direction {
+    /// Lowest projection of a point of the cube in `dims` dimensions, and how far above it the
+    /// highest one is.
+    #[inline(always)]
+    pub fn extent(&self, dims: usize) -> (f32, f32) {
+        let (mut low, mut length) = (0.0, 0.0);
+        for x in &self.theta[..dims] {
+            low += x.min(0.0);
+            length += x.abs();
+        }
+        (low, length)
+    }
+}
+
 /// The shape of the projected uniform density, up to its lower end.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Density {

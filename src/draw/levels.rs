@@ -24,6 +24,11 @@ impl LevelSet {
     pub fn above(&self, threshold: f64) -> usize {
         self.levels.partition_point(|&level| level > threshold)
     }
+
+    /// Whether a threshold can leave exactly `count` taps, the first ones.
+    pub fn ends_level(&self, count: usize) -> bool {
+        count > 0 && self.levels.get(count).is_none_or(|&next| next < self.levels[count - 1])
+    }
 }
 
 /// The level sets of a mixture of kernels, each with its share of the draws.

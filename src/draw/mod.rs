@@ -146,7 +146,7 @@ impl Draws {
     fn share(&self, partition: &Partition, step: u32, cell: usize) -> usize {
         let frames = partition.shape().frames();
         let all = partition.shape().pixels() as u128;
-        let before: usize = (0..cell).map(|c| partition.cell(c).pixels(frames)).sum();
+        let before = partition.pixels_before(cell);
         let after = before + partition.cell(cell).pixels(frames);
         let turn = (Stream::new(self.seed, Use::Share, step, 0).unit() * all as f64) as u128;
         let upto =

@@ -1,6 +1,6 @@
 //! The gradient of the filtered sliced Wasserstein distance (Algorithm 1, line 9).
 //!
-//! A draw gathers its subset of samples from the cell's block, projects it onto its directions,
+//! A draw gathers its subset of samples from the tile's rows, projects it onto its directions,
 //! ranks the projections, and pulls every sample along each direction towards the quantile of
 //! its rank (supplement, Eq. 8). In that equation the factors m/n and 1/m cancel, so samples are
 //! pulled by the plain difference, whatever the size of the subset; the objective whose negative
@@ -10,19 +10,23 @@
 //! Pulls add up as integers in a [`Patch`], in units of a quantum that no sum can overflow, so
 //! that the order of draws, threads and ranks cannot matter.
 
+mod memory;
+pub mod probe;
 mod rank;
 pub mod reference;
+mod runs;
 pub mod simd;
 mod target;
 
+pub use runs::{Run, RunTables};
 pub use target::Targets;
 
-use glam::IVec3;
-
-use crate::draw::{CellDraws, Direction, Draw, Draws, LevelSets};
-use crate::tile::{Block, Partition, TileShape};
-use rank::rank;
-use simd::{Simd, Vectorized};
+use crate::draw::{CellDraws, Direction, Draw, Draws};
+use crate::tile::{Block, Cell, Layout, Partition, Placement, Rows, SLACK};
+use memory::{CHUNK, InRows, Memory, Place, Placed};
+use probe::{Probe, Stage};
+use rank::Keys;
+use simd::{Isa, Simd, Vectorized};
 
 /// The unit of integer gradients.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -65,93 +69,114 @@ impl Quantum {
     }
 }
 
-/// The taps of all level sets as distances in the memory of a block.
-#[derive(Debug, Clone)]
-struct TapWords {
-    /// Per set and tap: the distance in words inside the block, and in frames.
-    sets: Vec<Vec<(i32, i32)>>,
-    /// Words from a frame to the next.
-    frame: i32,
-    frames: i32,
-    /// Words of a pixel.
-    pixel: usize,
-}
-
-impl TapWords {
-    fn new(levels: &LevelSets, block: Block, shape: TileShape) -> Self {
-        let pixel = shape.spp() * shape.dims();
-        let row = block.width as i32 * pixel as i32;
-        let frame = row * block.height as i32;
-        let word = |o: &IVec3| {
-            // However far a tap lies, it is less than a period away around the torus.
-            let frames = o.z % block.frames as i32;
-            (frames * frame + o.y * row + o.x * pixel as i32, frames)
-        };
-        let sets = levels.sets().iter().map(|set| set.offsets.iter().map(word).collect()).collect();
-        Self { sets, frame, frames: block.frames as i32, pixel }
-    }
-}
-
 /// Scratch for one thread, as large as the largest subset.
 #[derive(Debug, Clone, Default)]
 pub struct Workspace {
     draws: CellDraws,
-    /// First word of each gathered sample in the block.
-    words: Vec<u32>,
-    /// Coordinates, and the pulls on them, one run of samples for each dimension.
+    /// Runs of a subset that is in no table.
+    runs: Vec<Run>,
+    /// Coordinates of the gathered samples, and the pulls on them, sample after sample.
     points: Vec<f32>,
     pulls: Vec<f32>,
+    /// One number for each sample: its projection, and the target of its rank.
     projections: Vec<f32>,
-    ranks: Vec<u32>,
+    wanted: Vec<f32>,
+    /// The target of each rank.
     targets: Vec<f32>,
-    keys: Vec<u64>,
+    keys: Keys,
+    /// What a cell sees, in another layout than the tile's.
+    placed: (Vec<f32>, Vec<i32>),
 }
 
-/// The integer gradient of a cell and its halo, private until it is merged.
+impl Workspace {
+    /// Makes room for subsets of `n` samples.
+    #[inline(always)]
+    fn grow(&mut self, n: usize, dims: usize) {
+        let padded = n.next_multiple_of(LANES);
+        if self.projections.len() < padded {
+            for scratch in [&mut self.projections, &mut self.wanted, &mut self.targets] {
+                scratch.resize(padded, 0.0);
+            }
+            for scratch in [&mut self.points, &mut self.pulls] {
+                scratch.resize(padded * dims + CHUNK, 0.0);
+            }
+        }
+    }
+}
+
+/// The integer gradient of a block, private until it is merged.
 #[derive(Debug)]
 pub struct Patch<'a> {
-    /// One word for each coordinate of the block, in its order; in units of the quantum, and
-    /// pointing downhill.
+    /// One word for each coordinate of [`Block::words`] and [`SLACK`] more; in units of the
+    /// quantum, and pointing downhill.
     pub words: &'a mut [i32],
 }
 
-/// What the draws of a cell found.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct CellObjective {
-    /// Sum over the draws' directions of W₂².
-    pub squared_distance: f64,
+/// What draws found, in integers so that the order in which it adds up cannot matter.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Objective {
+    /// Sum over the draws' directions of W₂², in units of 2⁻²⁴.
+    units: i64,
     /// Number of directions.
-    pub directions: usize,
+    pub directions: u64,
 }
 
-/// Computes the gradients of cells.
+impl Objective {
+    /// Units of W₂². The largest sum, of 2³⁰ draws of 16 directions in 16 dimensions, is 2⁶².
+    const SCALE: f64 = (1 << 24) as f64;
+
+    fn add(&mut self, squared_distance: f64) {
+        self.units += libm::round(squared_distance * Self::SCALE) as i64;
+        self.directions += 1;
+    }
+
+    /// Sum over the draws' directions of W₂².
+    pub fn squared_distance(&self) -> f64 {
+        self.units as f64 / Self::SCALE
+    }
+
+    /// Mean W₂² of a direction; 0 if there is none.
+    pub fn mean(&self) -> f64 {
+        self.squared_distance() / self.directions.max(1) as f64
+    }
+}
+
+/// Adds up what the draws of several blocks found.
+impl std::iter::Sum for Objective {
+    fn sum<I: Iterator<Item = Self>>(objectives: I) -> Self {
+        objectives.fold(Self::default(), |a, b| Self {
+            units: a.units + b.units,
+            directions: a.directions + b.directions,
+        })
+    }
+}
+
+/// Computes the gradients of blocks.
 #[derive(Debug, Clone)]
 pub struct Gradient {
     draws: Draws,
     partition: Partition,
+    rows: Rows,
     targets: Targets,
     quantum: Quantum,
     simd: Simd,
-    /// Tap distances for each kind of block, and which kind each cell has.
-    kinds: Vec<(Block, TapWords)>,
-    kind_of: Vec<usize>,
+    runs: RunTables,
+    layout: Layout,
 }
 
 impl Gradient {
     /// Prepares the tables for `draws` on the cells of `partition`.
     pub fn new(draws: Draws, partition: Partition, quantum: Quantum, simd: Simd) -> Self {
-        let mut kinds: Vec<(Block, TapWords)> = Vec::new();
-        let kind_of = (0..partition.cells())
-            .map(|cell| {
-                let block = partition.block(cell);
-                kinds.iter().position(|kind| kind.0 == block).unwrap_or_else(|| {
-                    kinds.push((block, TapWords::new(draws.levels(), block, partition.shape())));
-                    kinds.len() - 1
-                })
-            })
-            .collect();
         let targets = Targets::new(draws.directions());
-        Self { draws, partition, targets, quantum, simd, kinds, kind_of }
+        let rows = Rows::new(partition.shape(), partition.reach());
+        let runs = RunTables::new(draws.levels(), partition.shape().frames());
+        Self { draws, partition, rows, targets, quantum, simd, runs, layout: Layout::Rows }
+    }
+
+    /// The same gradient, computed in a copy of what each cell sees in another layout: to
+    /// compare them. [`Layout::Rows`] takes no copy.
+    pub fn with_layout(self, layout: Layout) -> Self {
+        Self { layout, ..self }
     }
 
     /// The cells that gradients are computed for.
@@ -159,9 +184,19 @@ impl Gradient {
         &self.partition
     }
 
+    /// How the samples lie that gradients are computed from.
+    pub fn rows(&self) -> &Rows {
+        &self.rows
+    }
+
     /// The draws that gradients are made of.
     pub fn draws(&self) -> &Draws {
         &self.draws
+    }
+
+    /// The runs of their subsets.
+    pub fn runs(&self) -> &RunTables {
+        &self.runs
     }
 
     /// The unit of the gradients.
@@ -169,171 +204,260 @@ impl Gradient {
         self.quantum
     }
 
-    /// Makes the draws of `cell` in `step` and writes their gradient to `patch`.
+    /// Makes the draws of a block's cells in `step` and writes their gradient to `patch`.
     ///
-    /// `samples` is the cell's block.
+    /// `samples` are the tile's, in [`Self::rows`] and with [`SLACK`] behind them.
     ///
     /// # Panics
-    /// If `samples` or `patch` is not as long as the block.
-    pub fn cell(
+    /// If `samples` or `patch` is not as long as that.
+    pub fn block<P: Probe>(
         &self,
         step: u32,
-        cell: usize,
+        block: &Block,
         samples: &[f32],
         patch: Patch<'_>,
         workspace: &mut Workspace,
-    ) -> CellObjective {
-        let (block, taps) = &self.kinds[self.kind_of[cell]];
-        assert_eq!(samples.len(), block.pixels() * taps.pixel, "samples of a block");
-        assert_eq!(patch.words.len(), samples.len(), "patch of a block");
+        probe: &mut P,
+    ) -> Objective {
+        assert_eq!(samples.len(), self.rows.words() + SLACK, "samples of a tile");
+        assert_eq!(patch.words.len(), block.words() + SLACK, "patch of a block");
         patch.words.fill(0);
-        let mut cell_draws = std::mem::take(&mut workspace.draws);
-        self.draws.cell(&self.partition, step, cell, &mut cell_draws);
-        let job =
-            Job { gradient: self, block, taps, samples, patch, workspace, draws: &cell_draws };
-        let objective = match self.partition.shape().dims() {
-            1 => self.simd.run(Fixed::<1>(job)),
-            2 => self.simd.run(Fixed::<2>(job)),
-            3 => self.simd.run(Fixed::<3>(job)),
-            4 => self.simd.run(Fixed::<4>(job)),
-            _ => self.simd.run(Any(job)),
+        probe.lap(Stage::Scatter);
+        let cell = |&cell: &usize| {
+            let mut draws = std::mem::take(&mut workspace.draws);
+            self.draws.cell(&self.partition, step, cell, &mut draws);
+            probe.lap(Stage::Draws);
+            let patch = Patch { words: &mut *patch.words };
+            let (gradient, place) = (self, self.partition.cell(cell));
+            let draws_of_cell = &draws;
+            let job = Job {
+                gradient,
+                block,
+                place,
+                samples,
+                patch,
+                workspace: &mut *workspace,
+                draws: draws_of_cell,
+                probe: &mut *probe,
+            };
+            let objective = match self.partition.shape().dims() {
+                1 => self.simd.run(Fixed::<1, P>(job)),
+                2 => self.simd.run(Fixed::<2, P>(job)),
+                3 => self.simd.run(Fixed::<3, P>(job)),
+                4 => self.simd.run(Fixed::<4, P>(job)),
+                _ => self.simd.run(Any(job)),
+            };
+            workspace.draws = draws;
+            objective
         };
-        workspace.draws = cell_draws;
-        objective
+        block.cells().iter().map(cell).sum()
     }
 }
 
+/// Samples that are projected at a time, each in a lane of its own.
+const LANES: usize = 8;
+
 /// All draws of a cell, to be done in one go.
-struct Job<'a> {
+struct Job<'a, P> {
     gradient: &'a Gradient,
     block: &'a Block,
-    taps: &'a TapWords,
+    place: Cell,
     samples: &'a [f32],
     patch: Patch<'a>,
     workspace: &'a mut Workspace,
     draws: &'a CellDraws,
+    probe: &'a mut P,
 }
 
 /// A job in a number of dimensions that the compiler knows.
-struct Fixed<'a, const DIMS: usize>(Job<'a>);
+struct Fixed<'a, const DIMS: usize, P>(Job<'a, P>);
 
-impl<const DIMS: usize> Vectorized for Fixed<'_, DIMS> {
-    type Output = CellObjective;
+impl<const DIMS: usize, P: Probe> Vectorized for Fixed<'_, DIMS, P> {
+    type Output = Objective;
 
     #[inline(always)]
-    fn run(self) -> CellObjective {
-        run(self.0, DIMS)
+    fn run<I: Isa>(self, isa: I) -> Objective {
+        run(self.0, DIMS, isa)
     }
 }
 
 /// A job in any number of dimensions.
-struct Any<'a>(Job<'a>);
+struct Any<'a, P>(Job<'a, P>);
 
-impl Vectorized for Any<'_> {
-    type Output = CellObjective;
+impl<P: Probe> Vectorized for Any<'_, P> {
+    type Output = Objective;
 
     #[inline(always)]
-    fn run(self) -> CellObjective {
+    fn run<I: Isa>(self, isa: I) -> Objective {
         let dims = self.0.gradient.partition.shape().dims();
-        run(self.0, dims)
+        run(self.0, dims, isa)
     }
 }
 
+/// Does a job in the layout that it asks for.
 #[inline(always)]
-fn run(mut job: Job<'_>, dims: usize) -> CellObjective {
-    let per_draw = job.gradient.draws.options().directions;
-    let mut objective = CellObjective::default();
-    let draws = job.draws;
-    for (draw, directions) in draws.draws.iter().zip(draws.directions.chunks(per_draw)) {
-        objective.squared_distance += one_draw(&mut job, draw, directions, dims);
-        objective.directions += directions.len();
+fn run<I: Isa, P: Probe>(job: Job<'_, P>, dims: usize, isa: I) -> Objective {
+    let Job { gradient, block, place, samples, patch, workspace, draws, probe } = job;
+    let rows = &gradient.rows;
+    let frames = rows.shape().frames();
+    let reach = rows.reach();
+    // The part of the patch that the cell sees begins with the halo of its first row.
+    let corner = block.place();
+    let start = (place.y - corner.y) * block.line() + (place.x - corner.x) * rows.pixel();
+    let mut memory = InRows {
+        samples,
+        starts: &rows.starts()[place.y..],
+        column: place.x * rows.pixel(),
+        stride: rows.stride(),
+        patch: &mut patch.words[start..],
+        patch_stride: block.stride(),
+        frames,
+        pixel: rows.pixel(),
+    };
+    if gradient.layout == Layout::Rows {
+        return all_draws(gradient, &mut memory, draws, workspace, dims, isa, probe);
     }
+    let size = [reach.left + place.width + reach.right, reach.up + place.height + reach.down];
+    let placement = Placement::new(gradient.layout, [size[0], size[1], frames], rows.pixel());
+    let (mut copy, mut sums) = std::mem::take(&mut workspace.placed);
+    copy.resize(placement.words, 0.0);
+    sums.clear();
+    sums.resize(placement.words, 0);
+    memory.visit(size, |tile, _, [x, y, t]| {
+        let to = placement.word(x, y, t);
+        copy[to..to + rows.pixel()].copy_from_slice(tile);
+    });
+    probe.lap(Stage::Gather);
+    let mut placed = Placed {
+        placement: &placement,
+        samples: &copy,
+        patch: &mut sums,
+        pixel: rows.pixel(),
+    };
+    let objective = all_draws(gradient, &mut placed, draws, workspace, dims, isa, probe);
+    memory.visit(size, |_, patch, [x, y, t]| {
+        let from = placement.word(x, y, t);
+        patch.iter_mut().zip(&sums[from..]).for_each(|(to, from)| *to += from);
+    });
+    probe.lap(Stage::Scatter);
+    workspace.placed = (copy, sums);
     objective
 }
 
-/// Gathers, then projects, ranks and pulls along each direction, then scatters. Returns the sum
-/// of W₂² over the directions.
 #[inline(always)]
-fn one_draw(job: &mut Job<'_>, draw: &Draw, directions: &[Direction], dims: usize) -> f64 {
-    let Job { gradient, block, taps, samples, patch, workspace, .. } = job;
-    let spp = taps.pixel / dims;
-    let set = &taps.sets[draw.set as usize][..draw.taps as usize];
-    let n = set.len() * spp;
-    let Workspace { words, points, pulls, projections, ranks, targets, keys, .. } =
-        &mut **workspace;
-    if words.len() < n {
-        words.resize(n, 0);
-        ranks.resize(n, 0);
-        for scratch in [&mut *projections, &mut *targets] {
-            scratch.resize(n, 0.0);
+fn all_draws<M: Memory, I: Isa, P: Probe>(
+    gradient: &Gradient,
+    memory: &mut M,
+    draws: &CellDraws,
+    workspace: &mut Workspace,
+    dims: usize,
+    isa: I,
+    probe: &mut P,
+) -> Objective {
+    let per_draw = gradient.draws.options().directions;
+    let reach = gradient.rows.reach();
+    let mut scratch = std::mem::take(&mut workspace.runs);
+    let mut objective = Objective::default();
+    let place = |draw: &Draw| Place {
+        x: draw.x as usize + reach.left,
+        y: draw.y as usize + reach.up,
+        t: draw.t as usize,
+    };
+    let runs = &gradient.runs;
+    for (i, directions) in draws.directions.chunks(per_draw).enumerate() {
+        if let Some(next) = draws.draws.get(i + AHEAD) {
+            let runs = runs.of(next.set as usize, next.taps as usize, &mut scratch);
+            memory.prefetch(isa, place(next), runs);
         }
-        for scratch in [&mut *points, &mut *pulls] {
-            scratch.resize(n * dims, 0.0);
-        }
+        let draw = &draws.draws[i];
+        let runs = runs.of(draw.set as usize, draw.taps as usize, &mut scratch);
+        let subset = Subset { place: place(draw), runs, taps: draw.taps as usize, directions };
+        one_draw(gradient, memory, subset, workspace, dims, isa, probe, &mut objective);
     }
-    let (words, ranks) = (&mut words[..n], &mut ranks[..n]);
-    let (projections, targets) = (&mut projections[..n], &mut targets[..n]);
-    let (points, pulls) = (&mut points[..n * dims], &mut pulls[..n * dims]);
+    workspace.runs = scratch;
+    objective
+}
 
-    let t = draw.t as i32;
-    let pixel = block.pixel(draw.x as usize, draw.y as usize, draw.t as usize);
-    let first = (pixel * taps.pixel) as i32;
-    let period = taps.frame * taps.frames;
-    for (place, &(word, frames)) in words.chunks_exact_mut(spp).zip(set) {
-        let frame = t + frames;
-        let wrap = if frame < 0 {
-            period
-        } else if frame >= taps.frames {
-            -period
-        } else {
-            0
-        };
-        let word = (first + word + wrap) as u32;
-        for (s, place) in place.iter_mut().enumerate() {
-            *place = word + (s * dims) as u32;
-        }
-    }
-    for (i, &word) in words.iter().enumerate() {
-        let point = &samples[word as usize..word as usize + dims];
-        for (k, &x) in point.iter().enumerate() {
-            points[k * n + i] = x;
-        }
-    }
+/// Draws between asking for samples and using them.
+const AHEAD: usize = 2;
 
-    let scale = gradient.quantum.scale();
-    let mut squares = 0.0;
+/// A draw with the runs of its samples.
+struct Subset<'a> {
+    place: Place,
+    runs: &'a [Run],
+    taps: usize,
+    directions: &'a [Direction],
+}
+
+/// Gathers, then projects, ranks and pulls along each direction, then scatters.
+#[inline(always)]
+#[allow(clippy::too_many_arguments, reason = "one caller, into which it is inlined")]
+fn one_draw<M: Memory, I: Isa, P: Probe>(
+    gradient: &Gradient,
+    memory: &mut M,
+    subset: Subset<'_>,
+    workspace: &mut Workspace,
+    dims: usize,
+    isa: I,
+    probe: &mut P,
+    objective: &mut Objective,
+) {
+    let Subset { place, runs, taps, directions } = subset;
+    let n = taps * gradient.rows.shape().spp();
+    workspace.grow(n, dims);
+    let Workspace { points, pulls, projections, wanted, targets, keys, .. } = workspace;
+    memory.gather(place, runs, points);
+    probe.lap(Stage::Gather);
+
+    let padded = n.next_multiple_of(LANES);
+    let (points, targets) = (&points[..padded * dims], &mut targets[..n]);
+    let (projections, wanted) = (&mut projections[..padded], &mut wanted[..padded]);
     for (nth, direction) in directions.iter().enumerate() {
-        projections.fill(0.0);
-        for k in 0..dims {
-            let theta = direction.theta[k];
-            for (projection, &x) in projections.iter_mut().zip(&points[k * n..(k + 1) * n]) {
-                *projection += theta * x;
+        let theta = &direction.theta[..dims];
+        for (lanes, points) in
+            projections.chunks_exact_mut(LANES).zip(points.chunks_exact(LANES * dims))
+        {
+            for (lane, projection) in lanes.iter_mut().enumerate() {
+                let mut sum = 0.0;
+                for k in 0..dims {
+                    sum += theta[k] * points[lane * dims + k];
+                }
+                *projection = sum;
             }
         }
+        probe.lap(Stage::Project);
+        let (low, length) = direction.extent(dims);
+        let sorted = keys.sort(isa, &projections[..n], low, length);
+        probe.lap(Stage::Rank);
         gradient.targets.fill(direction, targets);
-        rank(projections, ranks, keys);
-        let mut square = 0.0_f32;
-        for (projection, &rank) in projections.iter_mut().zip(&*ranks) {
-            *projection = targets[rank as usize] - *projection;
-            square += *projection * *projection;
+        for (position, &target) in sorted.positions().zip(&*targets) {
+            wanted[position] = target;
         }
-        squares += f64::from(square) / n as f64;
-        for k in 0..dims {
-            let theta = scale * direction.theta[k];
-            let pulls = &mut pulls[k * n..(k + 1) * n];
-            for (pull, &difference) in pulls.iter_mut().zip(&*projections) {
-                let before = if nth == 0 { 0.0 } else { *pull };
-                *pull = before + theta * difference;
+        wanted[n..].copy_from_slice(&projections[n..]);
+        let scale = gradient.quantum.scale();
+        let mut squares = [0.0_f32; LANES];
+        let pulls = pulls.chunks_exact_mut(LANES * dims);
+        for ((at, to), pulls) in
+            projections.chunks_exact(LANES).zip(wanted.chunks_exact(LANES)).zip(pulls)
+        {
+            let mut differences = [0.0_f32; LANES];
+            for lane in 0..LANES {
+                differences[lane] = to[lane] - at[lane];
+                squares[lane] += differences[lane] * differences[lane];
+            }
+            for lane in 0..LANES {
+                for k in 0..dims {
+                    let pull = scale * theta[k] * differences[lane];
+                    let sum = &mut pulls[lane * dims + k];
+                    *sum = if nth == 0 { pull } else { *sum + pull };
+                }
             }
         }
+        objective.add(f64::from(squares.iter().sum::<f32>()) / n as f64);
+        probe.lap(Stage::Transport);
     }
-    for (i, &word) in words.iter().enumerate() {
-        let place = &mut patch.words[word as usize..word as usize + dims];
-        for (k, sum) in place.iter_mut().enumerate() {
-            *sum += to_integer(pulls[k * n + i]);
-        }
-    }
-    squares
+    memory.scatter(place, runs, pulls);
+    probe.lap(Stage::Scatter);
 }
 
 /// The nearest integer (ties to even) of a number of magnitude below 2²².

@@ -52,9 +52,12 @@ fn visit(
     let shape = tile.shape();
     let size = IVec3::new(shape.width() as i32, shape.height() as i32, shape.frames() as i32);
     for draw in draws {
-        let subset: Vec<usize> = levels.sets()[draw.set].offsets[..draw.taps]
-            .iter()
-            .flat_map(|&offset| {
+        // Where projections are equal, the order of the offsets decides (y first, then t and x).
+        let mut offsets = levels.sets()[draw.set].offsets[..draw.taps].to_vec();
+        offsets.sort_by_key(|offset| (offset.y, offset.z % size.z, offset.x));
+        let subset: Vec<usize> = offsets
+            .into_iter()
+            .flat_map(|offset| {
                 let place = (draw.pixel + offset).rem_euclid(size).as_usizevec3();
                 let pixel = shape.pixel(place.x, place.y, place.z);
                 (0..shape.spp()).map(move |s| pixel * shape.spp() + s)

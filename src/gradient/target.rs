@@ -55,7 +55,7 @@ impl Targets {
     #[inline(always)]
     pub fn fill(&self, direction: &Direction, targets: &mut [f32]) {
         // Negative components mirror the projection; it then starts below 0.
-        let low: f32 = direction.theta[..self.dims].iter().map(|x| x.min(0.0)).sum();
+        let (low, _) = direction.extent(self.dims);
         match direction.density {
             Density::Trapezoid => {
                 let (mut a, mut b) = (0.0_f32, 0.0_f32);

@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use perceptile_cluster::{Commit, World};
+use perceptile_cluster::World;
 
 use crate::draw::{Draws, LevelSets};
 use crate::gradient::simd::Simd;
@@ -69,7 +69,6 @@ impl<'a> Run<'a> {
         let kernel = options.kernel.resolve(options.shape)?;
         options.check_kernel(&kernel)?;
         let partition = Partition::new(options.shape, levels(&kernel).reach(), world.size());
-        options.check_partition(&partition)?;
         let samples = match (options.start, start) {
             (Start::Random, None) => start::random(&partition, options.seed, world),
             (Start::Stratified, None) => start::stratified(&partition, options.seed, world),
@@ -119,12 +118,9 @@ impl<'a> Run<'a> {
         let (adam, steps) = (options.adam, options.steps);
         let mut descent = Descent::new(self.world, gradient, adam, steps, self.simd, &self.samples);
         while self.steps < steps && self.goes_on(observer) {
-            let (commit, objective) = descent.step(self.steps);
-            if commit == Commit::Redo {
-                continue;
-            }
+            let (_, objective) = descent.step(self.steps);
             self.steps += 1;
-            let mean = objective.squared_distance / objective.directions.max(1) as f64;
+            let mean = objective.mean();
             if self.before.values.len() < Summary::WINDOW {
                 self.before.push(mean);
             }
@@ -148,7 +144,7 @@ impl<'a> Run<'a> {
         let classes = self.kernel.classes();
         let classes: Vec<_> = classes.iter().map(|class| (class.weight, &class.taps)).collect();
         let mut polish =
-            Polish::new(self.world, &self.partition, &classes, options, self.simd, &self.samples);
+            Polish::new(&self.partition, &classes, options, self.simd, &self.samples);
         for step in 0..options.steps {
             if !self.goes_on(observer) {
                 break;

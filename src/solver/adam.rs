@@ -8,7 +8,7 @@ use std::f64::consts::PI;
 
 use serde::{Deserialize, Serialize};
 
-use crate::gradient::simd::Vectorized;
+use crate::gradient::simd::{Isa, Vectorized};
 use crate::tile::clamp_coordinate;
 
 /// How Adam moves the samples.
@@ -79,38 +79,34 @@ impl Pull for f32 {
     }
 }
 
-/// One step of a run of coordinates: from the old halves of the state into the new ones.
+/// One step of a run of coordinates, in place.
 pub struct Update<'a, P> {
     /// What the step does.
     pub factors: Factors,
     /// Downhill gradient.
     pub pulls: &'a [P],
-    /// Coordinates before the step, and after.
-    pub samples: (&'a [f32], &'a mut [f32]),
-    /// First moments before the step, and after.
-    pub first: (&'a [f32], &'a mut [f32]),
-    /// Second moments before the step, and after.
-    pub second: (&'a [f32], &'a mut [f32]),
+    /// Coordinates.
+    pub samples: &'a mut [f32],
+    /// First moments.
+    pub first: &'a mut [f32],
+    /// Second moments.
+    pub second: &'a mut [f32],
 }
 
 impl<P: Pull> Vectorized for Update<'_, P> {
     type Output = ();
 
     #[inline(always)]
-    fn run(self) {
+    fn run<I: Isa>(self, _: I) {
         let Factors { unit, beta1, beta2, rate, second: correction, epsilon } = self.factors;
         let n = self.pulls.len();
-        let (old_x, new_x) = (&self.samples.0[..n], &mut self.samples.1[..n]);
-        let (old_m, new_m) = (&self.first.0[..n], &mut self.first.1[..n]);
-        let (old_v, new_v) = (&self.second.0[..n], &mut self.second.1[..n]);
+        let (x, m, v) = (&mut self.samples[..n], &mut self.first[..n], &mut self.second[..n]);
         for i in 0..n {
             let pull = self.pulls[i].value() * unit;
-            let m = beta1 * old_m[i] + (1.0 - beta1) * pull;
-            let v = beta2 * old_v[i] + (1.0 - beta2) * (pull * pull);
-            let move_by = rate * m / ((v * correction).sqrt() + epsilon);
-            new_m[i] = m;
-            new_v[i] = v;
-            new_x[i] = clamp_coordinate(old_x[i] + move_by);
+            m[i] = beta1 * m[i] + (1.0 - beta1) * pull;
+            v[i] = beta2 * v[i] + (1.0 - beta2) * (pull * pull);
+            let move_by = rate * m[i] / ((v[i] * correction).sqrt() + epsilon);
+            x[i] = clamp_coordinate(x[i] + move_by);
         }
     }
 }
@@ -118,6 +114,7 @@ impl<P: Pull> Vectorized for Update<'_, P> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::gradient::simd::Plain;
 
     const OPTIONS: AdamOptions =
         AdamOptions { rate: 0.01, final_rate: 0.001, beta1: 0.9, beta2: 0.99, epsilon: 1e-8 };
@@ -135,15 +132,14 @@ mod tests {
         let (mut x, mut m, mut v) = (vec![0.5_f32; 4], vec![0.0; 4], vec![0.0; 4]);
         let (mut slow_x, mut slow_m, mut slow_v) = ([0.5_f64; 4], [0.0; 4], [0.0; 4]);
         for step in 0..5 {
-            let (old_x, old_m, old_v) = (x.clone(), m.clone(), v.clone());
             Update {
                 factors: OPTIONS.factors(step, 5, 1.0),
                 pulls: &pulls,
-                samples: (&old_x, &mut x),
-                first: (&old_m, &mut m),
-                second: (&old_v, &mut v),
+                samples: &mut x,
+                first: &mut m,
+                second: &mut v,
             }
-            .run();
+            .run(Plain);
             let t = step as i32 + 1;
             for i in 0..4 {
                 let g = f64::from(pulls[i]);
@@ -159,15 +155,15 @@ mod tests {
 
     #[test]
     fn coordinates_stay_in_the_cube() {
-        let mut x = [0.0; 2];
+        let mut x = [0.001, 0.999];
         Update {
             factors: OPTIONS.factors(0, 1, 1.0),
             pulls: &[-1_i32, 1],
-            samples: (&[0.001, 0.999], &mut x),
-            first: (&[0.0; 2], &mut [0.0; 2]),
-            second: (&[0.0; 2], &mut [0.0; 2]),
+            samples: &mut x,
+            first: &mut [0.0; 2],
+            second: &mut [0.0; 2],
         }
-        .run();
+        .run(Plain);
         assert_eq!(x, [0.0, crate::tile::BELOW_ONE]);
     }
 }

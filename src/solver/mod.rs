@@ -6,7 +6,6 @@
 //! in cell order ([`CellSamples`]).
 
 pub mod adam;
-mod blocks;
 mod options;
 pub mod polish;
 pub mod start;
@@ -17,5 +16,5 @@ pub mod warp;
 
 pub use options::{MAX_POLISH_TAPS, Options, OptionsError, Preset, Start};
 pub use state::CellSamples;
-pub use step::Descent;
+pub use step::{BLOCKS_PER_THREAD, Descent};
 pub use summary::{Phase, StopReason, Summary};

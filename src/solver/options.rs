@@ -8,7 +8,7 @@ use crate::kernel::{Kernel, KernelError, KernelSpec};
 use crate::solver::adam::AdamOptions;
 use crate::solver::polish::PolishOptions;
 use crate::solver::warp::WarpOptions;
-use crate::tile::{Partition, TileShape};
+use crate::tile::TileShape;
 
 /// What the optimization starts from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -80,14 +80,6 @@ pub enum OptionsError {
     Polish {
         /// Taps of the largest class.
         taps: usize,
-    },
-    /// The kernel reaches so far that a cell's block outgrows 32-bit offsets.
-    #[error(
-        "the kernel reaches so far that a block of the tile has {words} numbers, but at most 2^31 - 1 are allowed: truncate the kernel or take a smaller tile"
-    )]
-    Block {
-        /// Numbers of the largest block.
-        words: usize,
     },
     /// The tile given to start from has another shape.
     #[error("the starting tile is {found}, but the run makes a tile of {expected}")]
@@ -214,17 +206,6 @@ impl Options {
             }
             _ => Ok(()),
         }
-    }
-
-    /// Checks that the blocks of all cells can be addressed, those of the polish included.
-    ///
-    /// # Errors
-    /// A block of 2³¹ numbers or more.
-    pub fn check_partition(&self, partition: &Partition) -> Result<(), OptionsError> {
-        let wide = partition.with_reach(partition.reach().doubled());
-        let largest = if self.polish.steps > 0 { &wide } else { partition }.largest_block();
-        let words = largest.saturating_mul(self.shape.spp() * self.shape.dims());
-        if words > i32::MAX as usize { Err(OptionsError::Block { words }) } else { Ok(()) }
     }
 
     /// Checks every number against its range.

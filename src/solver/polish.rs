@@ -14,17 +14,14 @@
 //! execution can change it.
 
 use glam::IVec3;
-use perceptile_cluster::World;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use crate::gradient::simd::{Simd, Vectorized};
+use crate::gradient::simd::{Isa, Simd, Vectorized};
 use crate::kernel::KernelTaps;
 use crate::solver::adam::AdamOptions;
-use crate::solver::blocks::{Blocks, split};
-use crate::solver::state::{CellSamples, State};
-use crate::solver::step::update;
-use crate::tile::{Block, Cell, Partition, Reach};
+use crate::solver::state::{CellSamples, State, own_words};
+use crate::tile::{Partition, Reach, Rows};
 
 /// How the polish is done.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -67,12 +64,14 @@ fn autocorrelation(classes: &[(f64, &KernelTaps)], frames: usize) -> Vec<(IVec3,
     sums.into_iter().map(|((t, y, x), g)| (IVec3::new(x, y, t), g)).collect()
 }
 
+/// Lines of the tile that a thread works on at a time, in all frames.
+const BAND: usize = 8;
+
 /// Full-batch descent on the energy.
 pub struct Polish {
-    world: World,
+    partition: Partition,
     options: PolishOptions,
     simd: Simd,
-    blocks: Blocks,
     state: State,
     pairs: Vec<Pair>,
     /// Weight of a sample with itself, which other samples of its pixel share.
@@ -80,14 +79,13 @@ pub struct Polish {
     /// Σ over all pairs of weights, for the pull of the uniform density.
     total: f32,
     density: Density,
+    /// Downhill gradient in the order of the rows, without copies.
     pulls: Vec<f32>,
-    mailbox: Vec<f32>,
 }
 
 impl Polish {
     /// Prepares the descent from `samples` for a mixture of kernels with weights.
     pub fn new(
-        world: World,
         partition: &Partition,
         classes: &[(f64, &KernelTaps)],
         options: PolishOptions,
@@ -112,119 +110,129 @@ impl Polish {
             .filter(|(o, g)| *o != IVec3::ZERO && *g != 0.0)
             .map(|(offset, g)| Pair { offset, weight: g as f32 })
             .collect();
-        let blocks = Blocks::new(partition.with_reach(reach), world);
-        let mut state = State::new(&blocks, samples);
-        let mut mailbox = Vec::new();
-        blocks.copy_to_halos(world, &mut state.current_mut().samples, &mut mailbox);
         Self {
-            world,
+            partition: partition.clone(),
             options,
             simd,
-            state,
+            state: State::new(Rows::new(shape, reach), partition, samples),
             pairs,
             own: own as f32,
             total: (total * shape.spp() as f64) as f32,
             density: Density::new(),
-            pulls: vec![0.0; blocks.cell_words().iter().sum()],
-            blocks,
-            mailbox,
+            pulls: vec![0.0; shape.coordinates()],
         }
     }
 
     /// Does step number `step`.
     pub fn step(&mut self, step: u32) {
         self.pull();
-        let factors = self.options.adam.factors(step, self.options.steps, 1.0);
-        let blocks = &self.blocks;
-        update(blocks, &mut self.state, &self.pulls, blocks.cell_words(), factors, self.simd);
-        let (_, new) = self.state.old_and_new();
-        self.blocks.copy_to_halos(self.world, &mut new.samples, &mut self.mailbox);
-        self.state.commit();
+        let Self { options, simd, state, pulls, .. } = self;
+        let factors = options.adam.factors(step, options.steps, 1.0);
+        let own = own_words(state.rows());
+        let line = own * state.rows().shape().frames();
+        state.lines_mut().zip(pulls.par_chunks(line)).for_each(|(mut line, pulls)| {
+            for (t, pulls) in pulls.chunks(own).enumerate() {
+                line.update(t, factors, pulls, *simd);
+            }
+        });
     }
 
     /// Goes on from other samples, with the moments as they are.
     pub fn replace(&mut self, samples: &CellSamples) {
-        self.state.replace(&self.blocks, samples);
-        let samples = &mut self.state.current_mut().samples;
-        self.blocks.copy_to_halos(self.world, samples, &mut self.mailbox);
+        self.state.replace(&self.partition, samples);
     }
 
     /// The samples as of the last step.
     pub fn samples(&self) -> CellSamples {
-        self.state.samples(&self.blocks)
+        self.state.cell_samples(&self.partition)
     }
 
     fn pull(&mut self) {
-        let blocks = &self.blocks;
-        let shape = blocks.partition().shape();
-        let mut samples = &self.state.current().samples[..];
-        let jobs: Vec<(usize, &[f32], &mut [f32])> = split(&mut self.pulls, blocks.cell_words())
-            .into_iter()
-            .zip(blocks.block_words())
-            .enumerate()
-            .map(|(i, (pulls, &size))| {
-                let (block, rest) = samples.split_at(size);
-                samples = rest;
-                (blocks.first() + i, block, pulls)
-            })
-            .collect();
-        let (simd, pairs, density) = (self.simd, &self.pairs, &self.density);
-        let (own, total) = (self.own, self.total);
-        let PolishOptions { axis_weight, linear_weight, .. } = self.options;
+        let Self { state, pairs, density, pulls, simd, own, total, options, .. } = self;
+        let rows = state.rows();
+        let shape = rows.shape();
+        let PolishOptions { axis_weight, linear_weight, .. } = *options;
         let terms = Terms { axis: axis_weight as f32, linear: linear_weight as f32 };
-        jobs.into_par_iter().with_max_len(1).for_each(|(cell, samples, pulls)| {
-            let (cell, block) = (blocks.partition().cell(cell), blocks.partition().block(cell));
-            let planes = planes(samples, shape.spp() * shape.dims());
+        let line = own_words(rows) * shape.frames();
+        pulls.par_chunks_mut(BAND * line).enumerate().for_each(|(band, pulls)| {
+            let planes = Planes::new(rows, state.samples(), band * BAND, pulls.len() / line);
             pulls.fill(0.0);
-            // The rows of frame t: where each pair's other row starts.
-            (0..shape.frames()).for_each(|t| {
+            for t in 0..shape.frames() {
+                // The rows of frame t: where each pair's other row starts.
                 let words: Vec<(i32, f32)> = pairs
                     .iter()
                     .map(|pair| {
                         let frame = (t as i32 + pair.offset.z) % shape.frames() as i32;
-                        let rows = (frame - t as i32) * block.height as i32 + pair.offset.y;
-                        (rows * block.width as i32 + pair.offset.x, pair.weight)
+                        let offset = [pair.offset.x, pair.offset.y, frame - t as i32];
+                        (planes.distance(offset), pair.weight)
                     })
                     .collect();
                 let frame = Frame {
-                    cell,
-                    block,
                     t,
                     spp: shape.spp(),
                     dims: shape.dims(),
                     planes: &planes,
                     words: &words,
-                    own,
+                    own: *own,
                     terms,
-                    total,
+                    total: *total,
                     density,
                 };
-                simd.run(FrameJob { frame, pulls });
-            });
+                simd.run(FrameJob { frame, pulls: &mut *pulls });
+            }
         });
     }
 }
 
-/// Takes interleaved samples apart: one plane for each number of a pixel, with room behind it
-/// for lanes that run over the last row.
-fn planes(samples: &[f32], pixel: usize) -> Vec<Vec<f32>> {
-    (0..pixel)
-        .map(|k| {
-            let mut plane: Vec<f32> = samples.iter().skip(k).step_by(pixel).copied().collect();
-            plane.resize(plane.len() + LANES, 0.0);
-            plane
-        })
-        .collect()
+/// Samples of a band of lines and around it, taken apart: one plane for each number of a pixel,
+/// in the order `(t, y, x)`.
+struct Planes {
+    words: Vec<Vec<f32>>,
+    reach: Reach,
+    /// Columns and rows, halo included.
+    width: usize,
+    height: usize,
+    frames: usize,
 }
 
-/// One frame of a cell.
+impl Planes {
+    /// The planes of `lines` lines from `y` on.
+    fn new(rows: &Rows, samples: &[f32], y: usize, lines: usize) -> Self {
+        let (pixel, frames, reach) = (rows.pixel(), rows.shape().frames(), rows.reach());
+        let (width, height) = (rows.stride() / pixel, reach.up + lines + reach.down);
+        // Room behind the last row for lanes that run over it.
+        let size = width * height * frames + LANES;
+        let mut words = vec![vec![0.0; size]; pixel];
+        for t in 0..frames {
+            for (j, start) in rows.starts()[y..y + height].iter().enumerate() {
+                let row = &samples[start + t * rows.stride()..][..rows.stride()];
+                for (k, plane) in words.iter_mut().enumerate() {
+                    let to = &mut plane[(t * height + j) * width..][..width];
+                    let from = row[k..].iter().step_by(pixel);
+                    to.iter_mut().zip(from).for_each(|(to, &from)| *to = from);
+                }
+            }
+        }
+        Self { words, reach, width, height, frames }
+    }
+
+    /// Place of pixel `(x, y)` of the band in frame `t`.
+    fn place(&self, x: usize, y: usize, t: usize) -> usize {
+        (t * self.height + y + self.reach.up) * self.width + x + self.reach.left
+    }
+
+    /// From a pixel to the one at an offset `[dx, dy, dt]`.
+    fn distance(&self, [dx, dy, dt]: [i32; 3]) -> i32 {
+        (dt * self.height as i32 + dy) * self.width as i32 + dx
+    }
+}
+
+/// One frame of a band.
 struct Frame<'a> {
-    cell: Cell,
-    block: Block,
     t: usize,
     spp: usize,
     dims: usize,
-    planes: &'a [Vec<f32>],
+    planes: &'a Planes,
     words: &'a [(i32, f32)],
     own: f32,
     terms: Terms,
@@ -241,16 +249,18 @@ impl Vectorized for FrameJob<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn run(self) {
+    fn run<I: Isa>(self, _: I) {
         let Self { frame, pulls } = self;
-        let Cell { width, height, .. } = frame.cell;
+        let Planes { reach, width, height, frames, .. } = *frame.planes;
+        let (width, lines) =
+            (width - reach.left - reach.right, height - reach.up - reach.down);
         let (spp, dims) = (frame.spp, frame.dims);
-        for y in 0..height {
+        for y in 0..lines {
             for x in (0..width).step_by(LANES) {
-                let place = frame.block.pixel(x, y, frame.t);
+                let place = frame.planes.place(x, y, frame.t);
                 let size = LANES.min(width - x);
                 for s in 0..spp {
-                    let pull_at = ((frame.t * height + y) * width + x) * spp + s;
+                    let pull_at = ((y * frames + frame.t) * width + x) * spp + s;
                     for b in 0..dims {
                         // A lone dimension is its own pair.
                         for a in 0..b.max(usize::from(dims == 1)) {
@@ -277,7 +287,7 @@ impl Frame<'_> {
     fn pair(&self, place: usize, s: usize, a: usize, b: usize) -> [[f32; LANES]; 2] {
         let load = |s: usize, place: usize| -> [[f32; LANES]; 2] {
             let row = |k: usize| -> [f32; LANES] {
-                let plane = &self.planes[s * self.dims + k];
+                let plane = &self.planes.words[s * self.dims + k];
                 plane[place..place + LANES].try_into().expect("a slice of that length")
             };
             [row(a), if a == b { [0.0; LANES] } else { row(b) }]
@@ -505,7 +515,7 @@ mod tests {
         let options = PolishOptions { steps: 10, axis_weight: 0.3, linear_weight: 0.7, adam };
         let partition = Partition::new(tile.shape(), Reach::default(), 1);
         let samples = CellSamples::from_tile(tile, &partition);
-        Polish::new(World::Local, &partition, classes, options, simd, &samples)
+        Polish::new(&partition, classes, options, simd, &samples)
     }
 
     #[test]
@@ -526,17 +536,10 @@ mod tests {
             fast.pull();
             // The pulls in C order.
             let mut pulls = vec![0.0_f64; shape.coordinates()];
-            let mut start = 0;
-            for cell in 0..fast.blocks.partition().cells() {
-                let place = fast.blocks.partition().cell(cell);
-                for (row, at) in fast.blocks.rows(cell).zip(0..) {
-                    let (t, y) = (at / place.height, at % place.height);
-                    let to = shape.pixel(place.x, place.y + y, t) * spp * dims;
-                    for word in 0..row.len {
-                        pulls[to + word] = f64::from(fast.pulls[start + row.cell + word]);
-                    }
-                }
-                start += place.pixels(frames) * spp * dims;
+            let own = width * spp * dims;
+            for (row, words) in fast.pulls.chunks(own).enumerate() {
+                let to = shape.pixel(0, row / frames, row % frames) * spp * dims;
+                (0..own).for_each(|k| pulls[to + k] = f64::from(words[k]));
             }
 
             let slow = Slow::new(shape, &classes, 0.3, 0.7);

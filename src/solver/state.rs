@@ -1,10 +1,14 @@
-//! What a step reads and writes: samples and moments, each twice.
+//! What a step reads and writes: samples and moments.
 //!
-//! A step reads the current half and writes the other one; only [`State::commit`] makes the new
-//! half current. A step that fails half-way is simply done again.
+//! A step changes them in place, line by line: writing into a second copy, so that a step could
+//! be done again from its start, costs memory traffic in every step, and one process has nobody
+//! who could fail half-way.
 
-use crate::solver::blocks::{Blocks, split};
-use crate::tile::{Partition, Tile};
+use rayon::prelude::*;
+
+use crate::gradient::simd::Simd;
+use crate::solver::adam::{Factors, Pull, Update};
+use crate::tile::{Cell, Partition, Rows, SLACK, Tile};
 
 /// The samples of a rank's cells in *cell order* (cell after cell, each in C order, no halos).
 ///
@@ -22,8 +26,13 @@ impl CellSamples {
     /// If the partition is of another shape.
     pub fn from_tile(tile: &Tile, partition: &Partition) -> Self {
         assert_eq!(tile.shape(), partition.shape());
+        let shape = tile.shape();
+        let pixel = shape.spp() * shape.dims();
         let mut words = Vec::with_capacity(tile.samples().len());
-        visit_rows(partition, |start, len| words.extend(&tile.samples()[start..start + len]));
+        visit_rows(partition, |x, y, t, width| {
+            let start = shape.pixel(x, y, t) * pixel;
+            words.extend(&tile.samples()[start..start + width * pixel]);
+        });
         Self { words }
     }
 
@@ -32,134 +41,144 @@ impl CellSamples {
     /// # Panics
     /// If they are not.
     pub fn to_tile(&self, partition: &Partition) -> Tile {
-        let mut samples = vec![0.0; partition.shape().coordinates()];
+        let shape = partition.shape();
+        let pixel = shape.spp() * shape.dims();
+        let mut samples = vec![0.0; shape.coordinates()];
         let mut words = &self.words[..];
-        visit_rows(partition, |start, len| {
-            let (row, rest) = words.split_at(len);
-            samples[start..start + len].copy_from_slice(row);
+        visit_rows(partition, |x, y, t, width| {
+            let start = shape.pixel(x, y, t) * pixel;
+            let (row, rest) = words.split_at(width * pixel);
+            samples[start..start + row.len()].copy_from_slice(row);
             words = rest;
         });
-        Tile::new(partition.shape(), samples).expect("coordinates are kept in [0, 1) by one rule")
+        Tile::new(shape, samples).expect("coordinates are kept in [0, 1) by one rule")
     }
 }
 
-/// Calls `row(first word in the tile, words)` for the rows of all cells in cell order.
-fn visit_rows(partition: &Partition, mut row: impl FnMut(usize, usize)) {
-    let shape = partition.shape();
-    let pixel = shape.spp() * shape.dims();
-    for cell in (0..partition.cells()).map(|cell| partition.cell(cell)) {
-        for t in 0..shape.frames() {
-            for y in cell.y..cell.y + cell.height {
-                row(shape.pixel(cell.x, y, t) * pixel, cell.width * pixel);
-            }
+/// Calls `row(x, y, t, width)` for the rows of all cells in cell order, with their first pixel.
+fn visit_rows(partition: &Partition, mut row: impl FnMut(usize, usize, usize, usize)) {
+    for cell in 0..partition.cells() {
+        let Cell { x, y: top, width, height } = partition.cell(cell);
+        for t in 0..partition.shape().frames() {
+            (top..top + height).for_each(|y| row(x, y, t, width));
         }
     }
 }
 
-/// One half of the state.
-#[derive(Debug, Clone)]
-pub(crate) struct Half {
-    /// Samples of all blocks, halos included.
-    pub samples: Vec<f32>,
-    /// Adam's first moments, in cell order.
-    pub first: Vec<f32>,
-    /// Adam's second moments, in cell order.
-    pub second: Vec<f32>,
-}
-
-impl Half {
-    /// Copies samples in cell order into the blocks.
-    fn fill(&mut self, blocks: &Blocks, samples: &CellSamples) {
-        let mut rest = &samples.words[..];
-        for (i, block) in split(&mut self.samples, blocks.block_words()).into_iter().enumerate() {
-            let (cell, tail) = rest.split_at(blocks.cell_words()[i]);
-            for row in blocks.rows(blocks.first() + i) {
-                block[row.block..row.block + row.len]
-                    .copy_from_slice(&cell[row.cell..row.cell + row.len]);
-            }
-            rest = tail;
-        }
-    }
-}
-
-/// Samples and moments of a rank, each twice.
+/// Samples and Adam's moments of a tile.
 #[derive(Debug, Clone)]
 pub(crate) struct State {
-    halves: [Half; 2],
-    current: usize,
+    rows: Rows,
+    samples: Vec<f32>,
+    /// Moments in the order of the rows, without the copies around them.
+    first: Vec<f32>,
+    second: Vec<f32>,
 }
 
 impl State {
-    /// The state before the first step; halos are yet to be filled.
-    pub fn new(blocks: &Blocks, samples: &CellSamples) -> Self {
-        let words = samples.words.len();
-        let mut half = Half {
-            samples: vec![0.0; blocks.block_words().iter().sum()],
-            first: vec![0.0; words],
-            second: vec![0.0; words],
+    /// The state before the first step.
+    pub fn new(rows: Rows, partition: &Partition, samples: &CellSamples) -> Self {
+        let coordinates = rows.shape().coordinates();
+        let mut state = Self {
+            samples: vec![0.0; rows.words() + SLACK],
+            first: vec![0.0; coordinates],
+            second: vec![0.0; coordinates],
+            rows,
         };
-        half.fill(blocks, samples);
-        Self { halves: [half.clone(), half], current: 0 }
+        state.replace(partition, samples);
+        state
     }
 
-    /// Replaces the samples that hold, and keeps the moments; halos are yet to be filled.
-    pub fn replace(&mut self, blocks: &Blocks, samples: &CellSamples) {
-        self.current_mut().fill(blocks, samples);
+    /// Replaces the samples, and keeps the moments.
+    pub fn replace(&mut self, partition: &Partition, samples: &CellSamples) {
+        let mut words = &samples.words[..];
+        let Self { rows, samples, .. } = self;
+        let pixel = rows.pixel();
+        visit_rows(partition, |x, y, t, width| {
+            let (row, rest) = words.split_at(width * pixel);
+            let start = y * rows.line() + t * rows.stride() + rows.lead() + x * pixel;
+            samples[start..start + row.len()].copy_from_slice(row);
+            words = rest;
+        });
+        samples[..rows.words()].par_chunks_mut(rows.stride()).for_each(|row| rows.close(row));
     }
 
-    /// The half that holds.
-    pub fn current(&self) -> &Half {
-        &self.halves[self.current]
+    /// How the samples lie.
+    pub fn rows(&self) -> &Rows {
+        &self.rows
     }
 
-    /// The half that holds, for filling its halos.
-    pub fn current_mut(&mut self) -> &mut Half {
-        &mut self.halves[self.current]
-    }
-
-    /// The half that holds, and the one that the step writes.
-    pub fn old_and_new(&mut self) -> (&Half, &mut Half) {
-        let [a, b] = &mut self.halves;
-        if self.current == 0 { (a, b) } else { (b, a) }
-    }
-
-    /// Makes the half that was written the one that holds.
-    pub fn commit(&mut self) {
-        self.current = 1 - self.current;
+    /// The samples in their rows, with [`SLACK`] behind them.
+    pub fn samples(&self) -> &[f32] {
+        &self.samples
     }
 
     /// The samples in cell order.
-    pub fn samples(&self, blocks: &Blocks) -> CellSamples {
-        let mut words = Vec::with_capacity(self.current().first.len());
-        let mut rest = &self.current().samples[..];
-        for (i, &size) in blocks.block_words().iter().enumerate() {
-            let (block, tail) = rest.split_at(size);
-            for row in blocks.rows(blocks.first() + i) {
-                words.extend(&block[row.block..row.block + row.len]);
-            }
-            rest = tail;
-        }
+    pub fn cell_samples(&self, partition: &Partition) -> CellSamples {
+        let rows = &self.rows;
+        let mut words = Vec::with_capacity(rows.shape().coordinates());
+        visit_rows(partition, |x, y, t, width| {
+            let start = y * rows.line() + t * rows.stride() + rows.lead() + x * rows.pixel();
+            words.extend(&self.samples[start..start + width * rows.pixel()]);
+        });
         CellSamples { words }
+    }
+
+    /// The lines of the tile, in order of y, to be changed.
+    pub fn lines_mut(&mut self) -> impl IndexedParallelIterator<Item = Line<'_>> {
+        let rows = &self.rows;
+        let words = own_words(rows) * rows.shape().frames();
+        self.samples[..rows.words()]
+            .par_chunks_mut(rows.line())
+            .zip(self.first.par_chunks_mut(words))
+            .zip(self.second.par_chunks_mut(words))
+            .map(move |((samples, first), second)| Line { rows, samples, first, second })
+    }
+}
+
+/// Words of the pixels of a row.
+pub(crate) fn own_words(rows: &Rows) -> usize {
+    rows.shape().width() * rows.pixel()
+}
+
+/// The rows of one y in all frames.
+pub(crate) struct Line<'a> {
+    rows: &'a Rows,
+    samples: &'a mut [f32],
+    first: &'a mut [f32],
+    second: &'a mut [f32],
+}
+
+impl Line<'_> {
+    /// Moves the samples of frame `t` by Adam.
+    pub fn update<P: Pull>(&mut self, t: usize, factors: Factors, pulls: &[P], simd: Simd) {
+        let own = own_words(self.rows);
+        let moments = t * own..(t + 1) * own;
+        let row = &mut self.samples[t * self.rows.stride()..(t + 1) * self.rows.stride()];
+        let lead = self.rows.lead();
+        simd.run(Update {
+            factors,
+            pulls,
+            samples: &mut row[lead..lead + own],
+            first: &mut self.first[moments.clone()],
+            second: &mut self.second[moments],
+        });
+        self.rows.close(row);
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use perceptile_cluster::World;
-
     use super::*;
     use crate::metric::Baseline;
     use crate::tile::{Reach, TileShape};
 
-    fn cells() -> (Tile, Partition) {
+    #[test]
+    fn cell_order_and_rows_lose_nothing() {
         let shape = TileShape::new(37, 35, 3, 2, 3).unwrap();
         let reach = Reach { left: 2, right: 3, up: 1, down: 0 };
-        (Baseline::White.tile(shape, 4), Partition::new(shape, reach, 1))
-    }
-
-    #[test]
-    fn cell_order_and_blocks_lose_nothing() {
-        let (tile, partition) = cells();
+        let (tile, partition) =
+            (Baseline::White.tile(shape, 4), Partition::new(shape, reach, 1));
         let samples = CellSamples::from_tile(&tile, &partition);
         assert_eq!(samples.to_tile(&partition), tile);
         // The first row of the first cell, and the first pixel of the second cell.
@@ -169,27 +188,18 @@ mod tests {
         let second = cell.pixels(3) * 6;
         assert_eq!(samples.words[second..second + 3], *tile.point(partition.cell(1).x, 0, 0, 0));
 
-        let blocks = Blocks::new(partition, World::Local);
-        assert_eq!(State::new(&blocks, &samples).samples(&blocks), samples);
-    }
+        let rows = Rows::new(shape, reach);
+        let mut state = State::new(rows.clone(), &partition, &samples);
+        assert_eq!(state.cell_samples(&partition), samples);
+        let start = 5 * rows.line() + 2 * rows.stride();
+        assert_eq!(state.samples()[start..start + 3], *tile.point(35, 5, 2, 0));
+        assert_eq!(state.samples()[start + 12..start + 15], *tile.point(0, 5, 2, 0));
 
-    #[test]
-    fn a_step_holds_only_after_it_is_committed() {
-        let (tile, partition) = cells();
-        let samples = CellSamples::from_tile(&tile, &partition);
-        let blocks = Blocks::new(partition, World::Local);
-        let mut state = State::new(&blocks, &samples);
-        let (_, new) = state.old_and_new();
-        new.samples.fill(0.25);
-        new.first.fill(1.0);
-        assert_eq!(state.samples(&blocks), samples);
-        assert!(state.current().first.iter().all(|&m| m == 0.0));
-        state.commit();
-        assert!(state.samples(&blocks).words.iter().all(|&x| x == 0.25));
-        let (old, new) = state.old_and_new();
-        assert_eq!((old.first[0], new.first[0]), (1.0, 0.0));
-        state.replace(&blocks, &samples);
-        assert_eq!(state.samples(&blocks), samples);
-        assert!(state.current().first.iter().all(|&m| m == 1.0));
+        // New samples leave the moments as they are.
+        state.first.fill(1.0);
+        let other = CellSamples::from_tile(&Baseline::White.tile(shape, 5), &partition);
+        state.replace(&partition, &other);
+        assert_eq!(state.cell_samples(&partition), other);
+        assert!(state.first.iter().all(|&m| m == 1.0));
     }
 }

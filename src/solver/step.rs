@@ -1,29 +1,43 @@
-//! One step of stochastic gradient descent, the only protocol between cells:
-//! patches → exchange (add) → Adam into the other half → exchange (copy) → commit.
+//! One step of stochastic gradient descent: the draws of every block fill its patch; then, line
+//! by line, patches add up to the gradient and Adam moves the samples.
+//!
+//! Both halves run in parallel without sharing a word that is written: a patch belongs to one
+//! block, a line to one thread.
 
 use crossbeam::queue::SegQueue;
 use perceptile_cluster::{Commit, World};
 use rayon::prelude::*;
 
-use crate::gradient::simd::Simd;
-use crate::gradient::{CellObjective, Gradient, Patch, Workspace};
-use crate::solver::adam::{AdamOptions, Factors, Pull, Update};
-use crate::solver::blocks::{Blocks, split};
-use crate::solver::state::{CellSamples, State};
+use crate::gradient::probe::{Probe, Stage, Unprobed};
+use crate::gradient::simd::{Isa, Simd, Vectorized};
+use crate::gradient::{Gradient, Objective, Patch, Workspace};
+use crate::solver::adam::AdamOptions;
+use crate::solver::state::{CellSamples, State, own_words};
+use crate::tile::{Block, Overlap, SLACK};
 
 /// The descent on the filtered sliced Wasserstein distance.
-pub struct Descent {
+pub struct Descent<P = Unprobed> {
     world: World,
     gradient: Gradient,
     adam: AdamOptions,
     steps: u32,
     simd: Simd,
-    blocks: Blocks,
     state: State,
+    blocks: Vec<Block>,
+    overlap: Overlap,
     patches: Vec<i32>,
-    mailbox: (Vec<i32>, Vec<f32>),
-    workspaces: SegQueue<Workspace>,
+    scratch: SegQueue<Scratch<P>>,
 }
+
+/// What a thread works with.
+struct Scratch<P> {
+    workspace: Workspace,
+    sums: Vec<i32>,
+    probe: P,
+}
+
+/// Blocks for each thread, so that one who is done can take over from one who is late.
+pub const BLOCKS_PER_THREAD: usize = 4;
 
 impl Descent {
     /// Prepares `steps` steps from `samples`.
@@ -35,123 +49,141 @@ impl Descent {
         simd: Simd,
         samples: &CellSamples,
     ) -> Self {
-        let blocks = Blocks::new(gradient.partition().clone(), world);
-        let mut state = State::new(&blocks, samples);
-        let mut mailbox = (Vec::new(), Vec::new());
-        blocks.copy_to_halos(world, &mut state.current_mut().samples, &mut mailbox.1);
-        let patches = vec![0; blocks.block_words().iter().sum()];
-        let workspaces = SegQueue::new();
-        Self { world, gradient, adam, steps, simd, blocks, state, patches, mailbox, workspaces }
+        Self::probed(world, gradient, adam, steps, simd, samples, || Unprobed)
+    }
+}
+
+impl<P: Probe> Descent<P> {
+    /// The same, with a probe for each thread that may work on it at once.
+    #[allow(clippy::too_many_arguments, reason = "what `new` takes, and one more")]
+    pub fn probed(
+        world: World,
+        gradient: Gradient,
+        adam: AdamOptions,
+        steps: u32,
+        simd: Simd,
+        samples: &CellSamples,
+        probe: impl Fn() -> P,
+    ) -> Self {
+        let threads = rayon::current_num_threads();
+        let partition = gradient.partition();
+        let blocks = partition.blocks(threads * BLOCKS_PER_THREAD);
+        let overlap = Overlap::new(partition.shape(), &blocks);
+        let state = State::new(gradient.rows().clone(), partition, samples);
+        let patches = vec![0; blocks.iter().map(|block| block.words() + SLACK).sum()];
+        let scratch = SegQueue::new();
+        for _ in 0..threads {
+            let sums = vec![0; own_words(state.rows())];
+            scratch.push(Scratch { workspace: Workspace::default(), sums, probe: probe() });
+        }
+        Self { world, gradient, adam, steps, simd, state, blocks, overlap, patches, scratch }
     }
 
     /// Does step number `step`. Returns what holds for all ranks, and the objective that the
     /// draws of this rank found, before the step moved the samples.
-    pub fn step(&mut self, step: u32) -> (Commit, CellObjective) {
+    pub fn step(&mut self, step: u32) -> (Commit, Objective) {
         let objective = self.pull(step);
-        self.blocks.add_from_halos(self.world, &mut self.patches, &mut self.mailbox.0);
-        let unit = self.gradient.quantum().unit();
-        let blocks = &self.blocks;
-        let factors = self.adam.factors(step, self.steps, unit);
-        update(blocks, &mut self.state, &self.patches, blocks.block_words(), factors, self.simd);
-        let (_, new) = self.state.old_and_new();
-        self.blocks.copy_to_halos(self.world, &mut new.samples, &mut self.mailbox.1);
-        let commit = self.world.commit(false);
-        if commit != Commit::Redo {
-            self.state.commit();
-        }
-        (commit, objective)
+        self.update(step);
+        (self.world.commit(false), objective)
     }
 
     /// Goes on from other samples, with the moments as they are.
     pub fn replace(&mut self, samples: &CellSamples) {
-        self.state.replace(&self.blocks, samples);
-        let samples = &mut self.state.current_mut().samples;
-        self.blocks.copy_to_halos(self.world, samples, &mut self.mailbox.1);
+        self.state.replace(self.gradient.partition(), samples);
     }
 
-    /// The samples as of the last step that holds.
+    /// The samples as of the last step.
     pub fn samples(&self) -> CellSamples {
-        self.state.samples(&self.blocks)
+        self.state.cell_samples(self.gradient.partition())
     }
 
-    /// Fills the patches of all cells.
-    fn pull(&mut self, step: u32) -> CellObjective {
-        let sizes = self.blocks.block_words();
-        let patches = split(&mut self.patches, sizes);
-        let mut samples = &self.state.current().samples[..];
-        let jobs: Vec<(&[f32], &mut [i32])> = patches
-            .into_iter()
-            .map(|patch| {
-                let (block, rest) = samples.split_at(patch.len());
-                samples = rest;
-                (block, patch)
-            })
+    /// The probes of all threads.
+    pub fn into_probes(self) -> Vec<P> {
+        self.scratch.into_iter().map(|scratch| scratch.probe).collect()
+    }
+
+    /// Fills the patches of all blocks.
+    fn pull(&mut self, step: u32) -> Objective {
+        let Self { gradient, state, blocks, patches, scratch, .. } = self;
+        let mut rest = &mut patches[..];
+        let jobs: Vec<(&Block, &mut [i32])> = blocks
+            .iter()
+            .map(|block| (block, rest.split_off_mut(..block.words() + SLACK).expect("a patch")))
             .collect();
-        let first = self.blocks.first();
-        let objectives: Vec<CellObjective> = jobs
-            .into_par_iter()
-            .enumerate()
+        let samples = state.samples();
+        jobs.into_par_iter()
             .with_max_len(1)
-            .map(|(i, (block, words))| {
-                let mut workspace = self.workspaces.pop().unwrap_or_default();
-                let patch = Patch { words };
-                let objective = self.gradient.cell(step, first + i, block, patch, &mut workspace);
-                self.workspaces.push(workspace);
-                objective
+            .map(|(block, words)| {
+                with(scratch, |Scratch { workspace, probe, .. }| {
+                    gradient.block(step, block, samples, Patch { words }, workspace, probe)
+                })
+            })
+            .sum()
+    }
+
+    /// Adds up the patches and moves the samples.
+    fn update(&mut self, step: u32) {
+        let Self { gradient, adam, simd, state, blocks, overlap, patches, scratch, .. } = self;
+        let factors = adam.factors(step, self.steps, gradient.quantum().unit());
+        let frames = state.rows().shape().frames();
+        let mut start = 0;
+        let patches: Vec<&[i32]> = blocks
+            .iter()
+            .map(|block| {
+                start += block.words() + SLACK;
+                &patches[start - block.words() - SLACK..start]
             })
             .collect();
-        objectives.into_iter().fold(CellObjective::default(), |sum, cell| CellObjective {
-            squared_distance: sum.squared_distance + cell.squared_distance,
-            directions: sum.directions + cell.directions,
-        })
+        state.lines_mut().enumerate().for_each(|(y, mut line)| {
+            with(scratch, |Scratch { sums, probe, .. }| {
+                for t in 0..frames {
+                    let (patches, simd) = (&patches, *simd);
+                    simd.run(Reduce { overlap, blocks, patches, y, t, sums });
+                    probe.lap(Stage::Reduce);
+                    line.update(t, factors, sums, simd);
+                    probe.lap(Stage::Adam);
+                }
+            });
+        });
     }
 }
 
-/// Moves the samples of all cells by Adam into the new half of the state.
-///
-/// `pulls` holds, for each cell, either a block (`sizes` are then the blocks') or the cell alone.
-pub(crate) fn update<P: Pull + Sync>(
-    blocks: &Blocks,
-    state: &mut State,
-    pulls: &[P],
-    sizes: &[usize],
-    factors: Factors,
-    simd: Simd,
-) {
-    let in_blocks = sizes == blocks.block_words();
-    let (old, new) = state.old_and_new();
-    let samples = split(&mut new.samples, blocks.block_words());
-    let first = split(&mut new.first, blocks.cell_words());
-    let second = split(&mut new.second, blocks.cell_words());
-    let (mut block_start, mut cell_start, mut pull_start) = (0, 0, 0);
-    let jobs: Vec<_> = samples
-        .into_iter()
-        .zip(first)
-        .zip(second)
-        .enumerate()
-        .map(|(i, ((samples, first), second))| {
-            let starts = (block_start, cell_start, pull_start);
-            block_start += samples.len();
-            cell_start += first.len();
-            pull_start += sizes[i];
-            (i, starts, samples, first, second)
-        })
-        .collect();
-    jobs.into_par_iter().with_max_len(1).for_each(|(i, starts, samples, first, second)| {
-        let (block, cell, pull) = starts;
-        for row in blocks.rows(blocks.first() + i) {
-            let pull = pull + if in_blocks { row.block } else { row.cell };
-            let (x, m) = (block + row.block, cell + row.cell);
-            simd.run(Update {
-                factors,
-                pulls: &pulls[pull..pull + row.len],
-                samples: (
-                    &old.samples[x..x + row.len],
-                    &mut samples[row.block..row.block + row.len],
-                ),
-                first: (&old.first[m..m + row.len], &mut first[row.cell..row.cell + row.len]),
-                second: (&old.second[m..m + row.len], &mut second[row.cell..row.cell + row.len]),
-            });
+/// Works with a thread's scratch; there is one for each thread.
+fn with<P: Probe, T>(
+    scratch: &SegQueue<Scratch<P>>,
+    work: impl FnOnce(&mut Scratch<P>) -> T,
+) -> T {
+    let mut mine = scratch.pop().expect("scratch for every thread");
+    mine.probe.begin();
+    let result = work(&mut mine);
+    scratch.push(mine);
+    result
+}
+
+/// Adds up one row of the gradient.
+struct Reduce<'a> {
+    overlap: &'a Overlap,
+    blocks: &'a [Block],
+    patches: &'a [&'a [i32]],
+    y: usize,
+    t: usize,
+    sums: &'a mut [i32],
+}
+
+impl Vectorized for Reduce<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<I: Isa>(self, _: I) {
+        let Self { overlap, blocks, patches, y, t, sums } = self;
+        sums.fill(0);
+        for &(block, start) in overlap.line(y) {
+            let row = &patches[block][start + t * blocks[block].stride()..];
+            for segment in overlap.segments(block) {
+                let part = &row[segment.from..segment.from + segment.len];
+                let sums = &mut sums[segment.to..segment.to + segment.len];
+                sums.iter_mut().zip(part).for_each(|(sum, &part)| *sum += part);
+            }
         }
-    });
+    }
 }

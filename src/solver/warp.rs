@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::draw::{Direction, DirectionSet, Stream, Use};
 use crate::gradient::Targets;
-use crate::gradient::simd::{Simd, Vectorized};
+use crate::gradient::simd::{Isa, Simd, Vectorized};
 use crate::solver::state::CellSamples;
 use crate::tile::{MAX_DIMS, clamp_coordinate};
 
@@ -160,7 +160,7 @@ impl Vectorized for Count<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn run(self) {
+    fn run<I: Isa>(self, _: I) {
         for point in self.points.chunks_exact(self.dims) {
             self.counts[(self.axis.place(point) as usize).min(BINS - 1)] += 1;
         }
@@ -179,7 +179,7 @@ impl Vectorized for Move<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn run(self) {
+    fn run<I: Isa>(self, _: I) {
         for point in self.points.chunks_exact_mut(self.dims) {
             let mut moved = [0.0_f32; MAX_DIMS];
             let moved = &mut moved[..self.dims];

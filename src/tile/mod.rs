@@ -3,10 +3,16 @@
 //! A tile holds `frames × height × width × spp × dims` coordinates in `[0, 1)`, in C order
 //! (the last axis varies fastest). It wraps toroidally in x, y and t.
 
+mod block;
+mod layout;
 mod partition;
+mod rows;
 mod shape;
 
-pub use partition::{Block, Cell, Halo, HaloRun, Partition, Reach};
+pub use block::{Block, Overlap, Segment};
+pub use layout::{LINE, Layout, Placement};
+pub use partition::{Cell, Partition, Reach};
+pub use rows::{Rows, SLACK};
 pub use shape::{MAX_DIMS, MAX_SPP, ShapeError, TileShape};
 
 use thiserror::Error;

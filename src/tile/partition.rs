@@ -1,17 +1,15 @@
-//! How a tile is cut into cells, and where each cell's pixels lie in memory.
+//! How a tile is cut into cells, and cells are joined to blocks.
 //!
 //! A *cell* is a rectangle in x and y with all its frames. It is the unit of everything that is
-//! shared out: it makes its own draws, and it is owned by one rank. Its memory is a *block*: the
-//! cell and around it a *halo*, as far as the kernel reaches, so that a draw finds its samples
-//! side by side and needs no wrap-around in x and y. Halos are copies of other cells (or of the
-//! same cell, around the torus); [`Partition::halo`] lists what is a copy of what.
+//! shared out: it makes its own draws, and it is owned by one rank. The cells are the same for
+//! every number of ranks and threads, so that draws are, too. A *block* is a rectangle of cells
+//! that one thread works on; how many there are is of no influence on any result.
 //!
-//! Everything here is pure arithmetic on the shape and the reach: the cells are the same for
-//! every number of ranks and threads, so that draws are, too.
+//! Everything here is pure arithmetic on the shape and the reach.
 
 use std::ops::Range;
 
-use crate::tile::TileShape;
+use crate::tile::{Block, TileShape};
 
 /// How far draws reach from their pixel, in pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -54,55 +52,6 @@ impl Cell {
     }
 }
 
-/// The block of a cell: its size with the halo. Pixels lie in C order `(frames, height, width)`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Block {
-    /// Columns, halo included.
-    pub width: usize,
-    /// Rows, halo included.
-    pub height: usize,
-    /// Halo columns before the cell's first.
-    pub left: usize,
-    /// Halo rows before the cell's first.
-    pub up: usize,
-    /// Frames; there is no halo in time.
-    pub frames: usize,
-}
-
-impl Block {
-    /// Pixels in all frames.
-    pub fn pixels(&self) -> usize {
-        self.width * self.height * self.frames
-    }
-
-    /// Position in the block of the pixel at column `x` and row `y` of the cell, frame `t`.
-    pub fn pixel(&self, x: usize, y: usize, t: usize) -> usize {
-        (t * self.height + y + self.up) * self.width + x + self.left
-    }
-}
-
-/// A run of halo pixels and the pixels of a cell that they are copies of.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct HaloRun {
-    /// First pixel in the block of the cell that owns them.
-    pub owner_pixel: usize,
-    /// First pixel in the block that has the copies.
-    pub halo_pixel: usize,
-    /// Number of pixels.
-    pub len: usize,
-}
-
-/// All halo pixels of one cell that one cell (another, or the same) owns.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Halo {
-    /// Cell that owns the pixels.
-    pub owner: usize,
-    /// Cell whose halo they are in.
-    pub cell: usize,
-    /// The pixels.
-    pub runs: Vec<HaloRun>,
-}
-
 /// The cells of a tile and the parts (ranks) that own them.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Partition {
@@ -125,13 +74,13 @@ impl Partition {
         Self { shape, reach, columns, rows, parts }
     }
 
-    /// The same cells and owners with halos for another reach.
+    /// The same cells and owners for another reach.
     pub fn with_reach(&self, reach: Reach) -> Self {
         Self { reach, ..self.clone() }
     }
 
-    /// Width and height of a cell, in pixels, that the cut aims at: a block of 30 frames with
-    /// its integer gradient then fits a second-level cache of 256 KB.
+    /// Width and height of a cell, in pixels, that the cut aims at: what the draws of a cell see
+    /// of 30 frames then fits a second-level cache of 256 KB, with its integer gradient.
     pub const CELL: usize = 16;
 
     /// The tile's shape.
@@ -170,116 +119,58 @@ impl Partition {
         Cell { x: column.start, y: row.start, width: column.len(), height: row.len() }
     }
 
-    /// The memory of a cell.
-    pub fn block(&self, cell: usize) -> Block {
-        let Cell { width, height, .. } = self.cell(cell);
-        let Reach { left, right, up, down } = self.reach;
-        Block {
-            width: left + width + right,
-            height: up + height + down,
-            left,
-            up,
-            frames: self.shape.frames(),
-        }
+    /// Pixels, in all frames, of the cells before a cell.
+    pub fn pixels_before(&self, cell: usize) -> usize {
+        let Cell { x, y, height, .. } = self.cell(cell);
+        (y * self.shape.width() + x * height) * self.shape.frames()
     }
 
-    /// Pixels of all blocks together, halos included.
-    pub fn block_pixels(&self) -> usize {
+    /// Joins the cells to at least `count` blocks, as far as there are cells.
+    ///
+    /// Rows of cells stay together as long as possible: the longer a row of a block, the smaller
+    /// its halo.
+    pub fn blocks(&self, count: usize) -> Vec<Block> {
+        let (bands, across) = self.grid(count);
+        let block = |rows: &Range<usize>, columns: &Range<usize>| {
+            let (x, y) = (self.columns[columns.start].start, self.rows[rows.start].start);
+            let width = self.columns[columns.end - 1].end - x;
+            let height = self.rows[rows.end - 1].end - y;
+            let cells = rows
+                .clone()
+                .flat_map(|row| columns.clone().map(move |column| (row, column)))
+                .map(|(row, column)| row * self.columns.len() + column)
+                .collect();
+            Block::new(self.shape, self.reach, Cell { x, y, width, height }, cells)
+        };
+        bands.iter().flat_map(|rows| across.iter().map(|columns| block(rows, columns))).collect()
+    }
+
+    /// Pixels of all blocks together, halos included; saturating.
+    pub fn block_pixels(&self, count: usize) -> usize {
+        let (bands, across) = self.grid(count);
         let Reach { left, right, up, down } = self.reach;
-        let across = self.shape.width().saturating_add(self.columns.len() * (left + right));
-        let down = self.shape.height().saturating_add(self.rows.len() * (up + down));
+        let across = self.shape.width().saturating_add(across.len() * (left + right));
+        let down = self.shape.height().saturating_add(bands.len() * (up + down));
         across.saturating_mul(down).saturating_mul(self.shape.frames())
     }
 
-    /// Pixels of the largest block.
-    pub fn largest_block(&self) -> usize {
-        let longest = |pieces: &[Range<usize>]| pieces.iter().map(|piece| piece.len()).max();
-        let Reach { left, right, up, down } = self.reach;
-        let across = longest(&self.columns).unwrap_or(0) + left + right;
-        let down = longest(&self.rows).unwrap_or(0) + up + down;
-        across.saturating_mul(down).saturating_mul(self.shape.frames())
-    }
-
-    /// What the halo of `cell` consists of, by owner.
-    pub fn halo(&self, cell: usize) -> Vec<Halo> {
-        let Cell { x, y, width, height } = self.cell(cell);
-        let block = self.block(cell);
-        let across = runs(&self.columns, x, self.reach.left, block.width);
-        let down = runs(&self.rows, y, self.reach.up, block.height);
-        let mut halos: Vec<Halo> = Vec::new();
-        for vertical in &down {
-            for horizontal in &across {
-                let own = |run: &AxisRun, lead: usize, size: usize| {
-                    run.block >= lead && run.block < lead + size
-                };
-                if own(vertical, self.reach.up, height) && own(horizontal, self.reach.left, width) {
-                    continue;
-                }
-                let owner = vertical.owner * self.columns.len() + horizontal.owner;
-                let theirs = self.block(owner);
-                let index = match halos.iter().position(|halo| halo.owner == owner) {
-                    Some(index) => index,
-                    None => {
-                        halos.push(Halo { owner, cell, runs: Vec::new() });
-                        halos.len() - 1
-                    }
-                };
-                for t in 0..self.shape.frames() {
-                    for row in 0..vertical.len {
-                        halos[index].runs.push(HaloRun {
-                            owner_pixel: theirs.pixel(horizontal.local, vertical.local + row, t),
-                            halo_pixel: (t * block.height + vertical.block + row) * block.width
-                                + horizontal.block,
-                            len: horizontal.len,
-                        });
-                    }
-                }
-            }
-        }
-        halos
+    /// The rows and columns of cells that blocks are made of.
+    fn grid(&self, count: usize) -> (Vec<Range<usize>>, Vec<Range<usize>>) {
+        let bands = pieces(self.rows.len(), count);
+        let across = pieces(self.columns.len(), count.div_ceil(bands.len()));
+        (bands, across)
     }
 }
 
 /// Cuts `size` into pieces of nearly equal length, about `aim` each.
 fn cut(size: usize, aim: usize) -> Vec<Range<usize>> {
-    let pieces = (size / aim).max(1);
-    (0..pieces).map(|i| size * i / pieces..size * (i + 1) / pieces).collect()
+    pieces(size, (size / aim).max(1))
 }
 
-/// Along one axis: pixels of a block that one cell owns.
-struct AxisRun {
-    /// First pixel in the block.
-    block: usize,
-    /// Piece of the axis that owns it.
-    owner: usize,
-    /// First pixel in that piece.
-    local: usize,
-    len: usize,
-}
-
-/// Takes one axis of a block apart: it starts `lead` pixels before `start` and is `len` long.
-fn runs(pieces: &[Range<usize>], start: usize, lead: usize, len: usize) -> Vec<AxisRun> {
-    let size = pieces.last().map_or(0, |piece| piece.end);
-    let mut found = Vec::new();
-    let mut block = 0;
-    while block < len {
-        let place = (start + block + size * lead.div_ceil(size) - lead) % size;
-        let owner = pieces.partition_point(|piece| piece.end <= place);
-        // A cell's own pixels are never joined with a copy of them around the torus.
-        let edge = [lead, lead + pieces_len_at(pieces, start), len]
-            .into_iter()
-            .find(|&edge| edge > block)
-            .unwrap_or(len);
-        let run = (pieces[owner].end - place).min(edge - block);
-        found.push(AxisRun { block, owner, local: place - pieces[owner].start, len: run });
-        block += run;
-    }
-    found
-}
-
-/// Length of the piece that starts at `start`.
-fn pieces_len_at(pieces: &[Range<usize>], start: usize) -> usize {
-    pieces.iter().find(|piece| piece.start == start).map_or(0, |piece| piece.len())
+/// Cuts `size` into `count` pieces of nearly equal length, or single ones if there are fewer.
+fn pieces(size: usize, count: usize) -> Vec<Range<usize>> {
+    let count = count.clamp(1, size);
+    (0..count).map(|i| size * i / count..size * (i + 1) / count).collect()
 }
 
 #[cfg(test)]
@@ -288,61 +179,47 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
-        /// Every pixel of every block is either its cell's own or a copy of the right pixel.
         #[test]
-        fn halos_are_copies_around_the_torus(
-            width in 1_usize..70, height in 1_usize..40, frames in 1_usize..3,
-            left in 0_usize..20, right in 0_usize..20, up in 0_usize..9, down in 0_usize..9,
-            parts in 1_usize..5,
+        fn cells_and_blocks_cover_the_tile_once(
+            width in 1_usize..90, height in 1_usize..70, frames in 1_usize..3,
+            reach in 0_usize..9, parts in 1_usize..5, count in 1_usize..40,
         ) {
             let shape = TileShape::new(width, height, frames, 1, 1).unwrap();
-            let partition = Partition::new(shape, Reach { left, right, up, down }, parts);
-            let mut owners = 0;
-            for cell in 0..partition.cells() {
-                prop_assert!(partition.owned(partition.owner(cell)).contains(&cell));
-                owners += partition.cell(cell).pixels(frames);
-                let Cell { x, y, width: w, height: h } = partition.cell(cell);
-                let block = partition.block(cell);
-                let mut filled = vec![None; block.pixels()];
-                for t in 0..frames {
-                    for j in 0..h {
-                        for i in 0..w {
-                            filled[block.pixel(i, j, t)] = Some(shape.pixel(x + i, y + j, t));
-                        }
-                    }
-                }
-                for halo in partition.halo(cell) {
-                    let owner = partition.cell(halo.owner);
-                    let theirs = partition.block(halo.owner);
-                    for run in halo.runs {
-                        for k in 0..run.len {
-                            let place = run.owner_pixel + k;
-                            let t = place / theirs.width / theirs.height;
-                            let j = place / theirs.width % theirs.height - theirs.up;
-                            let i = place % theirs.width - theirs.left;
-                            prop_assert!(i < owner.width && j < owner.height);
-                            let pixel = shape.pixel(owner.x + i, owner.y + j, t);
-                            prop_assert_eq!(filled[run.halo_pixel + k].replace(pixel), None);
-                        }
-                    }
-                }
-                for t in 0..frames {
-                    for j in 0..block.height {
-                        for i in 0..block.width {
-                            let column = (x + i + width * left.div_ceil(width) - left) % width;
-                            let row = (y + j + height * up.div_ceil(height) - up) % height;
-                            prop_assert_eq!(
-                                filled[(t * block.height + j) * block.width + i],
-                                Some(shape.pixel(column, row, t))
-                            );
-                        }
-                    }
+            let reach = Reach { left: reach, up: reach, ..Reach::default() };
+            let partition = Partition::new(shape, reach, parts);
+            let mut seen = vec![0; width * height];
+            let mut before = 0;
+            for index in 0..partition.cells() {
+                prop_assert!(partition.owned(partition.owner(index)).contains(&index));
+                let cell = partition.cell(index);
+                prop_assert_eq!(partition.pixels_before(index), before);
+                before += cell.pixels(frames);
+                for y in cell.y..cell.y + cell.height {
+                    seen[y * width + cell.x..][..cell.width].iter_mut().for_each(|n| *n += 1);
                 }
             }
-            prop_assert_eq!(owners, shape.pixels());
-            let blocks = || (0..partition.cells()).map(|cell| partition.block(cell).pixels());
-            prop_assert_eq!(partition.block_pixels(), blocks().sum::<usize>());
-            prop_assert_eq!(partition.largest_block(), blocks().max().unwrap());
+            prop_assert!(seen.iter().all(|&n| n == 1));
+
+            let blocks = partition.blocks(count);
+            prop_assert!(blocks.len() >= count.min(partition.cells()).min(partition.rows.len()));
+            let mut cells: Vec<usize> = blocks.iter().flat_map(|b| b.cells().to_vec()).collect();
+            cells.sort_unstable();
+            prop_assert!(cells.into_iter().eq(0..partition.cells()));
+            let words: usize = blocks.iter().map(Block::words).sum();
+            prop_assert_eq!(partition.block_pixels(count), words);
+            for block in &blocks {
+                let place = block.place();
+                let pixels: usize =
+                    block.cells().iter().map(|&cell| partition.cell(cell).pixels(frames)).sum();
+                prop_assert_eq!(place.pixels(frames), pixels);
+                for &cell in block.cells() {
+                    let cell = partition.cell(cell);
+                    prop_assert!(cell.x >= place.x && cell.x + cell.width <= place.x + place.width);
+                    prop_assert!(
+                        cell.y >= place.y && cell.y + cell.height <= place.y + place.height
+                    );
+                }
+            }
         }
     }
 }

@@ -5,10 +5,11 @@ use glam::IVec3;
 use perceptile::draw::{CellDraws, DrawOptions, Draws, LevelSets, Stream, Use};
 use perceptile::gradient::reference::{self, ReferenceDraw};
 use perceptile::gradient::simd::Simd;
-use perceptile::gradient::{CellObjective, Gradient, Patch, Quantum, Workspace};
+use perceptile::gradient::probe::Unprobed;
+use perceptile::gradient::{Gradient, Objective, Patch, Quantum, Workspace};
 use perceptile::kernel::{KernelSpec, KernelTaps, Tap};
 use perceptile::metric::Baseline;
-use perceptile::tile::{BELOW_ONE, Partition, Tile, TileShape};
+use perceptile::tile::{BELOW_ONE, Block, Layout, Overlap, Partition, SLACK, Tile, TileShape};
 use proptest::prelude::*;
 
 /// A tile with all that its gradient depends on.
@@ -74,7 +75,7 @@ impl Case {
         found
     }
 
-    /// The samples of a draw's subset, in the order of the taps.
+    /// The samples of a draw's subset.
     fn subset(&self, draw: &ReferenceDraw) -> Vec<usize> {
         let shape = self.tile.shape();
         let size = IVec3::new(shape.width() as i32, shape.height() as i32, shape.frames() as i32);
@@ -96,71 +97,62 @@ impl Case {
     }
 }
 
-/// The integer gradient of a tile as the blocks of a partition have it.
+/// The integer gradient of a tile as blocks have it.
 struct Blocks {
+    blocks: Vec<Block>,
     patches: Vec<Vec<i32>>,
-    objectives: Vec<CellObjective>,
+    objectives: Vec<Objective>,
 }
 
-/// Computes all cells in the given order with one workspace.
-fn fast(case: &Case, gradient: &Gradient, order: impl IntoIterator<Item = usize>) -> Blocks {
-    let shape = case.tile.shape();
-    let partition = gradient.partition();
-    let mut blocks = Blocks {
-        patches: vec![Vec::new(); partition.cells()],
-        objectives: vec![CellObjective::default(); partition.cells()],
-    };
+/// The samples of a case as the gradient wants them.
+fn rows(case: &Case, gradient: &Gradient) -> Vec<f32> {
+    let (shape, rows) = (case.tile.shape(), gradient.rows());
+    let mut samples = vec![0.0; rows.words() + SLACK];
+    let own = shape.width() * rows.pixel();
+    for (i, row) in samples[..rows.words()].chunks_mut(rows.stride()).enumerate() {
+        let (y, t) = (i / shape.frames(), i % shape.frames());
+        let from = shape.pixel(0, y, t) * rows.pixel();
+        row[rows.lead()..rows.lead() + own]
+            .copy_from_slice(&case.tile.samples()[from..from + own]);
+        rows.close(row);
+    }
+    samples
+}
+
+/// Computes all of about `count` blocks, from the last one on if told so, with one workspace.
+fn fast(case: &Case, gradient: &Gradient, count: usize, backward: bool) -> Blocks {
+    let blocks = gradient.partition().blocks(count);
+    let samples = rows(case, gradient);
+    let mut patches = vec![Vec::new(); blocks.len()];
+    let mut objectives = vec![Objective::default(); blocks.len()];
     let mut workspace = Workspace::default();
-    for cell in order {
-        let (place, block) = (partition.cell(cell), partition.block(cell));
-        let mut samples = Vec::new();
-        for t in 0..block.frames {
-            for y in 0..block.height {
-                for x in 0..block.width {
-                    let around = |start: usize, at: usize, lead: usize, size: usize| {
-                        (start as i64 + at as i64 - lead as i64).rem_euclid(size as i64) as usize
-                    };
-                    let x = around(place.x, x, block.left, shape.width());
-                    let y = around(place.y, y, block.up, shape.height());
-                    (0..shape.spp()).for_each(|s| samples.extend(case.tile.point(x, y, t, s)));
-                }
-            }
-        }
-        // What is left in a patch must not matter.
-        let mut words = vec![7; samples.len()];
-        let patch = Patch { words: &mut words };
-        blocks.objectives[cell] = gradient.cell(case.step, cell, &samples, patch, &mut workspace);
-        blocks.patches[cell] = words;
+    let mut order: Vec<usize> = (0..blocks.len()).collect();
+    if backward {
+        order.reverse();
     }
-    blocks
+    for i in order {
+        // What is left in a patch must not matter.
+        let mut words = vec![7; blocks[i].words() + SLACK];
+        let patch = Patch { words: &mut words };
+        objectives[i] =
+            gradient.block(case.step, &blocks[i], &samples, patch, &mut workspace, &mut Unprobed);
+        patches[i] = words;
+    }
+    Blocks { blocks, patches, objectives }
 }
 
-/// Adds the halos to the pixels that they are copies of: one word per coordinate in C order.
-fn fold(partition: &Partition, blocks: &Blocks) -> Vec<i64> {
-    let shape = partition.shape();
+/// Adds up the patches: one word per coordinate in C order.
+fn fold(shape: TileShape, all: &Blocks) -> Vec<i64> {
     let pixel = shape.spp() * shape.dims();
-    let mut patches: Vec<Vec<i64>> = blocks
-        .patches
-        .iter()
-        .map(|patch| patch.iter().map(|&word| i64::from(word)).collect())
-        .collect();
-    for halo in (0..partition.cells()).flat_map(|cell| partition.halo(cell)) {
-        for run in &halo.runs {
-            for word in 0..run.len * pixel {
-                let sum = i64::from(blocks.patches[halo.cell][run.halo_pixel * pixel + word]);
-                patches[halo.owner][run.owner_pixel * pixel + word] += sum;
-            }
-        }
-    }
+    let overlap = Overlap::new(shape, &all.blocks);
     let mut words = vec![0; shape.coordinates()];
-    for (cell, patch) in patches.iter().enumerate() {
-        let (place, block) = (partition.cell(cell), partition.block(cell));
-        for t in 0..shape.frames() {
-            for y in 0..place.height {
-                for x in 0..place.width {
-                    let from = block.pixel(x, y, t) * pixel;
-                    let to = shape.pixel(place.x + x, place.y + y, t) * pixel;
-                    words[to..to + pixel].copy_from_slice(&patch[from..from + pixel]);
+    for (y, t) in (0..shape.height()).flat_map(|y| (0..shape.frames()).map(move |t| (y, t))) {
+        let row = shape.pixel(0, y, t) * pixel;
+        for &(block, line) in overlap.line(y) {
+            let from = line + t * all.blocks[block].stride();
+            for s in overlap.segments(block) {
+                for k in 0..s.len {
+                    words[row + s.to + k] += i64::from(all.patches[block][from + s.from + k]);
                 }
             }
         }
@@ -231,12 +223,12 @@ impl Oracle {
 fn compare(case: &Case) -> Result<(), TestCaseError> {
     let gradient = case.gradient(Simd::detect());
     let unit = gradient.quantum().unit();
-    let blocks = fast(case, &gradient, 0..gradient.partition().cells());
+    let blocks = fast(case, &gradient, 3, false);
     let oracle = Oracle::new(case, unit);
-    let checked = oracle.check(&fold(gradient.partition(), &blocks), unit);
+    let checked = oracle.check(&fold(case.tile.shape(), &blocks), unit);
     prop_assert!(checked.is_ok(), "{}", checked.unwrap_err());
-    let directions: usize = blocks.objectives.iter().map(|o| o.directions).sum();
-    prop_assert_eq!(directions, case.draw.draws * case.draw.directions);
+    let objective: Objective = blocks.objectives.into_iter().sum();
+    prop_assert_eq!(objective.directions, (case.draw.draws * case.draw.directions) as u64);
     Ok(())
 }
 
@@ -322,18 +314,20 @@ proptest! {
         let shape = TileShape::new(width + 64, height + 20, frames, spp, dims).unwrap();
         let case = Case::of(shape, kernel, DrawOptions { directions, ..SHARES }, seed);
         let gradient = case.gradient(Simd::detect());
-        let cells = gradient.partition().cells();
-        let forward = fast(&case, &gradient, 0..cells);
-        for (gradient, backward) in
-            [(&gradient, true), (&case.gradient(Simd::plain()), false)]
-        {
-            let order: Box<dyn Iterator<Item = usize>> =
-                if backward { Box::new((0..cells).rev()) } else { Box::new(0..cells) };
-            let other = fast(&case, gradient, order);
-            prop_assert_eq!(&forward.patches, &other.patches);
-            for (a, b) in forward.objectives.iter().zip(&other.objectives) {
-                prop_assert_eq!(a.squared_distance.to_bits(), b.squared_distance.to_bits());
-            }
+        let one = fast(&case, &gradient, 1, false);
+        let words = fold(shape, &one);
+        let objective: Objective = one.objectives.into_iter().sum();
+        let plain = case.gradient(Simd::plain());
+        let others = [
+            ("another order", fast(&case, &gradient, 4, true)),
+            ("a block for each cell", fast(&case, &gradient, usize::MAX, false)),
+            ("plain", fast(&case, &plain, 2, false)),
+            ("bricks", fast(&case, &gradient.clone().with_layout(Layout::Bricks), 2, false)),
+            ("curve", fast(&case, &plain.with_layout(Layout::Curve), 3, false)),
+        ];
+        for (label, other) in others {
+            prop_assert_eq!(&words, &fold(shape, &other), "{}", label);
+            prop_assert_eq!(objective, other.objectives.into_iter().sum(), "{}", label);
         }
     }
 }
@@ -345,9 +339,8 @@ fn the_objective_of_the_fast_gradient_is_half_of_the_plain_one_per_sample() {
         let draw = DrawOptions { draws: 30, directions: 2, ..SHARES };
         let case = Case::of(shape, "gaussian(1) * fovvideovdp(60) @ 5x5x8", draw, 3);
         let gradient = case.gradient(Simd::detect());
-        let cells = gradient.partition().cells();
-        let found: f64 =
-            fast(&case, &gradient, 0..cells).objectives.iter().map(|o| o.squared_distance).sum();
+        let found: Objective = fast(&case, &gradient, 2, false).objectives.into_iter().sum();
+        let found = found.squared_distance();
         let w2 = |draw: &ReferenceDraw| {
             let half_sum =
                 reference::objective(&case.tile, &case.levels, std::slice::from_ref(draw));
@@ -441,11 +434,9 @@ fn wrong_gradients_are_caught() {
     let draw = DrawOptions { draws: 400, ..SHARES };
     let case = Case::of(shape, "gaussian(2.1) * fovvideovdp(60) @ 7x7x8", draw, 8);
     let gradient = case.gradient(Simd::detect());
-    let partition = gradient.partition();
     let unit = gradient.quantum().unit();
     let oracle = Oracle::new(&case, unit);
-    let blocks = fast(&case, &gradient, 0..partition.cells());
-    let words = fold(partition, &blocks);
+    let words = fold(shape, &fast(&case, &gradient, 2, false));
     assert_eq!(oracle.check(&words, unit), Ok(()));
 
     let damaged = |name: &str, words: Vec<i64>| {
@@ -461,22 +452,20 @@ fn wrong_gradients_are_caught() {
     turned.rotate_left(1);
     damaged("a shift by one coordinate", turned);
     damaged("swapped coordinates", words.chunks(2).flat_map(|p| [p[1], p[0]]).collect());
-    let mut lost = fast(&case, &gradient, 0..partition.cells());
-    let halo = &partition.halo(0)[0];
-    for run in &halo.runs {
-        lost.patches[0][run.halo_pixel * 4..(run.halo_pixel + run.len) * 4].fill(0);
+    let mut lost = fast(&case, &gradient, 2, false);
+    let halo = lost.blocks[0].reach().left * 4;
+    for row in lost.patches[0].chunks_mut(lost.blocks[0].stride()) {
+        let size = row.len().min(halo);
+        row[..size].fill(0);
     }
-    damaged("a lost halo", fold(partition, &lost));
+    damaged("a lost halo", fold(shape, &lost));
     let mut stale = case.clone();
     stale.step += 1;
-    damaged(
-        "another step's draws",
-        fold(partition, &fast(&stale, &gradient, 0..partition.cells())),
-    );
+    damaged("another step's draws", fold(shape, &fast(&stale, &gradient, 2, false)));
     let mut whole = case.clone();
     whole.draw.threshold_range = 0.9;
     let other = whole.gradient(Simd::detect());
-    damaged("other thresholds", fold(partition, &fast(&whole, &other, 0..partition.cells())));
+    damaged("other thresholds", fold(shape, &fast(&whole, &other, 2, false)));
     // Every sample of a draw takes the target of the next rank.
     let mut next: Vec<i64> = words.clone();
     for draw in case.reference_draws() {

@@ -1,9 +1,248 @@
-//! The copy of every inner loop that is compiled for AVX2.
+//! AVX2: the copy of every inner loop that is compiled for it, a sort, and prefetches.
+//!
+//! The sort is a bitonic one (Batcher 1968) without a branch on the keys. Blocks of 64 keys are
+//! sorted in eight registers, as columns first, so that most comparisons are between registers;
+//! then sorted runs are merged two by two. Every comparator puts the smaller key in front, so
+//! registers behind the last one, which would hold the largest of all keys, need not exist.
 
-use super::Vectorized;
+use std::arch::x86_64::*;
+
+use super::{Isa, SORT_BLOCK, Vectorized};
+
+/// Proof that the processor has AVX2.
+#[derive(Clone, Copy)]
+struct Avx2(());
 
 /// Runs an operation with AVX2, into which its `#[inline(always)]` body is compiled.
 #[target_feature(enable = "avx2")]
 pub(super) fn run<V: Vectorized>(operation: V) -> V::Output {
-    operation.run()
+    // Whoever calls this function has made sure of the feature; this is the only place that
+    // makes the proof.
+    operation.run(Avx2(()))
+}
+
+impl Isa for Avx2 {
+    #[inline(always)]
+    fn sort(self, keys: &mut [u32]) {
+        assert!(keys.len().is_multiple_of(SORT_BLOCK));
+        let (vectors, _) = keys.as_chunks_mut::<LANES>();
+        // SAFETY: an `Avx2` exists, so the processor has the one feature that `sort` needs.
+        #[allow(unsafe_code)]
+        unsafe {
+            sort(vectors)
+        }
+    }
+
+    #[inline(always)]
+    fn prefetch<T>(self, slice: &[T], index: usize) {
+        let place = slice.as_ptr().wrapping_add(index).cast::<i8>();
+        // SAFETY: a prefetch reads nothing that the program could see, faults at no address, and
+        // needs SSE, which every x86-64 processor has.
+        #[allow(unsafe_code)]
+        unsafe {
+            _mm_prefetch::<_MM_HINT_T0>(place)
+        }
+    }
+}
+
+/// Keys of a register.
+const LANES: usize = 8;
+
+#[target_feature(enable = "avx2")]
+#[inline]
+fn load(keys: &[u32; LANES]) -> __m256i {
+    // SAFETY: the eight keys are 32 bytes that may be read, of any alignment.
+    #[allow(unsafe_code)]
+    unsafe {
+        _mm256_loadu_si256(keys.as_ptr().cast())
+    }
+}
+
+#[target_feature(enable = "avx2")]
+#[inline]
+fn store(keys: &mut [u32; LANES], vector: __m256i) {
+    // SAFETY: the eight keys are 32 bytes that may be written, of any alignment.
+    #[allow(unsafe_code)]
+    unsafe {
+        _mm256_storeu_si256(keys.as_mut_ptr().cast(), vector)
+    }
+}
+
+#[target_feature(enable = "avx2")]
+fn sort(vectors: &mut [[u32; LANES]]) {
+    let (blocks, _) = vectors.as_chunks_mut::<LANES>();
+    for block in blocks {
+        sort_block(block);
+    }
+    let mut run = LANES;
+    while run < vectors.len() {
+        for pair in vectors.chunks_mut(2 * run) {
+            if pair.len() > run {
+                merge(pair, run);
+            }
+        }
+        run *= 2;
+    }
+}
+
+/// Puts the smaller keys of each lane into the first register.
+#[target_feature(enable = "avx2")]
+#[inline]
+fn compare(low: &mut __m256i, high: &mut __m256i) {
+    (*low, *high) = (_mm256_min_epu32(*low, *high), _mm256_max_epu32(*low, *high));
+}
+
+/// Compares the keys of a register with those of another order of them; lanes whose bit is set
+/// in `MAX` take the larger one.
+#[target_feature(enable = "avx2")]
+#[inline]
+fn exchange<const MAX: i32>(vector: __m256i, partner: __m256i) -> __m256i {
+    _mm256_blend_epi32::<MAX>(
+        _mm256_min_epu32(vector, partner),
+        _mm256_max_epu32(vector, partner),
+    )
+}
+
+/// Swaps the halves of a register.
+#[target_feature(enable = "avx2")]
+#[inline]
+fn swap_halves(vector: __m256i) -> __m256i {
+    _mm256_permute4x64_epi64::<0b01_00_11_10>(vector)
+}
+
+/// Lanes from last to first.
+#[target_feature(enable = "avx2")]
+#[inline]
+fn reverse(vector: __m256i) -> __m256i {
+    _mm256_permutevar8x32_epi32(vector, _mm256_setr_epi32(7, 6, 5, 4, 3, 2, 1, 0))
+}
+
+/// The comparisons between registers that make a bitonic sequence of each lane a rising one.
+#[target_feature(enable = "avx2")]
+#[inline]
+fn finish_columns(v: &mut [__m256i; LANES]) {
+    for distance in [4, 2, 1] {
+        for i in 0..LANES {
+            if i & distance == 0 {
+                let (low, high) = v.split_at_mut(i + distance);
+                compare(&mut low[i], &mut high[0]);
+            }
+        }
+    }
+}
+
+/// Compares each column with the reverse of the one that `order` names; lanes with a bit set in
+/// `MAX` take the larger keys.
+#[target_feature(enable = "avx2")]
+#[inline]
+fn mirror_columns<const MAX: i32>(v: &mut [__m256i; LANES], order: __m256i) {
+    for i in 0..LANES / 2 {
+        let (a, b) = (v[i], v[LANES - 1 - i]);
+        v[i] = exchange::<MAX>(a, _mm256_permutevar8x32_epi32(b, order));
+        v[LANES - 1 - i] = exchange::<MAX>(b, _mm256_permutevar8x32_epi32(a, order));
+    }
+}
+
+/// Sorts 64 keys.
+///
+/// Each lane is a column of eight keys. Columns are sorted, then merged two by two: 0 with 4,
+/// then 04 with 15 (and 26 with 37), then 0415 with 2637; a transposition puts them in order.
+#[target_feature(enable = "avx2")]
+fn sort_block(keys: &mut [[u32; LANES]; LANES]) {
+    let mut v = [_mm256_setzero_si256(); LANES];
+    for (vector, keys) in v.iter_mut().zip(&*keys) {
+        *vector = load(keys);
+    }
+    // The optimal network of 19 comparators for eight keys (Knuth, volume 3, section 5.3.4).
+    const NETWORK: [(usize, usize); 19] = [
+        (0, 2), (1, 3), (4, 6), (5, 7), (0, 4), (1, 5), (2, 6), (3, 7), (0, 1), (2, 3), (4, 5),
+        (6, 7), (2, 4), (3, 5), (1, 4), (3, 6), (1, 2), (3, 4), (5, 6),
+    ];
+    for (i, j) in NETWORK {
+        let (low, high) = v.split_at_mut(j);
+        compare(&mut low[i], &mut high[0]);
+    }
+    mirror_columns::<0b1111_0000>(&mut v, _mm256_setr_epi32(4, 5, 6, 7, 0, 1, 2, 3));
+    finish_columns(&mut v);
+    mirror_columns::<0b1010_1010>(&mut v, _mm256_setr_epi32(5, 4, 7, 6, 1, 0, 3, 2));
+    for vector in &mut v {
+        *vector = exchange::<0b1111_0000>(*vector, swap_halves(*vector));
+    }
+    finish_columns(&mut v);
+    mirror_columns::<0b1100_1100>(&mut v, _mm256_setr_epi32(7, 6, 5, 4, 3, 2, 1, 0));
+    for vector in &mut v {
+        let pairs = _mm256_shuffle_epi32::<0b10_11_00_01>(*vector);
+        *vector = exchange::<0b1010_1010>(*vector, pairs);
+        *vector = exchange::<0b1111_0000>(*vector, swap_halves(*vector));
+    }
+    finish_columns(&mut v);
+    transpose(&mut v);
+    for (keys, column) in keys.iter_mut().zip([0, 4, 1, 5, 2, 6, 3, 7]) {
+        store(keys, v[column]);
+    }
+}
+
+/// Makes lanes registers, and registers lanes.
+#[target_feature(enable = "avx2")]
+#[inline]
+fn transpose(v: &mut [__m256i; LANES]) {
+    let t = [0, 2, 4, 6].map(|i| {
+        [_mm256_unpacklo_epi32(v[i], v[i + 1]), _mm256_unpackhi_epi32(v[i], v[i + 1])]
+    });
+    for half in 0..2 {
+        // Rows 4·half to 4·half + 3 of columns 0–3 (low halves) and 4–7 (high halves).
+        let (a, b) = (t[2 * half], t[2 * half + 1]);
+        v[4 * half] = _mm256_unpacklo_epi64(a[0], b[0]);
+        v[4 * half + 1] = _mm256_unpackhi_epi64(a[0], b[0]);
+        v[4 * half + 2] = _mm256_unpacklo_epi64(a[1], b[1]);
+        v[4 * half + 3] = _mm256_unpackhi_epi64(a[1], b[1]);
+    }
+    for i in 0..4 {
+        let (a, b) = (v[i], v[i + 4]);
+        v[i] = _mm256_permute2x128_si256::<0x20>(a, b);
+        v[i + 4] = _mm256_permute2x128_si256::<0x31>(a, b);
+    }
+}
+
+/// Merges the sorted first `run` registers with the sorted rest, which are at most as many.
+#[target_feature(enable = "avx2")]
+fn merge(pair: &mut [[u32; LANES]], run: usize) {
+    for i in (2 * run - pair.len())..run {
+        let j = 2 * run - 1 - i;
+        let (mut low, mut high) = (load(&pair[i]), reverse(load(&pair[j])));
+        compare(&mut low, &mut high);
+        store(&mut pair[i], low);
+        store(&mut pair[j], reverse(high));
+    }
+    let mut distance = run / 2;
+    while distance >= LANES {
+        for group in pair.chunks_mut(2 * distance) {
+            if group.len() > distance {
+                let (lows, highs) = group.split_at_mut(distance);
+                for (low, high) in lows.iter_mut().zip(highs) {
+                    let (mut a, mut b) = (load(low), load(high));
+                    compare(&mut a, &mut b);
+                    store(low, a);
+                    store(high, b);
+                }
+            }
+        }
+        distance /= 2;
+    }
+    let (blocks, _) = pair.as_chunks_mut::<LANES>();
+    for block in blocks {
+        let mut v = [_mm256_setzero_si256(); LANES];
+        for (vector, keys) in v.iter_mut().zip(&*block) {
+            *vector = load(keys);
+        }
+        finish_columns(&mut v);
+        for (keys, mut vector) in block.iter_mut().zip(v) {
+            vector = exchange::<0b1111_0000>(vector, swap_halves(vector));
+            let twos = _mm256_shuffle_epi32::<0b01_00_11_10>(vector);
+            vector = exchange::<0b1100_1100>(vector, twos);
+            let ones = _mm256_shuffle_epi32::<0b10_11_00_01>(vector);
+            vector = exchange::<0b1010_1010>(vector, ones);
+            store(keys, vector);
+        }
+    }
 }
