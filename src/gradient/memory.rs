@@ -7,7 +7,7 @@
 use super::runs::Run;
 use super::simd::Isa;
 use super::to_integer;
-use crate::tile::{LINE, Placement};
+use crate::tile::Placement;
 
 /// Words that are moved at a time.
 pub const CHUNK: usize = 16;
@@ -56,6 +56,9 @@ impl Place {
 
 /// Memory that a subset's samples come from and its pulls go to.
 pub trait Memory {
+    /// Asks for what a draw will need.
+    fn prefetch<I: Isa>(&self, isa: I, place: Place, runs: &[Run]);
+
     /// Copies the samples of `runs` to `points`, one after the other, each with its dimensions
     /// side by side. `points` has room for a [`CHUNK`] more.
     fn gather(&self, place: Place, runs: &[Run], points: &mut [f32]);
@@ -63,22 +66,15 @@ pub trait Memory {
     /// Adds `pulls`, in the order of `points`, to the integer gradient; a [`CHUNK`] more of them
     /// can be read.
     fn scatter(&mut self, place: Place, runs: &[Run], pulls: &[f32]);
-
-    /// Asks for what a draw will need.
-    fn prefetch<I: Isa>(&self, isa: I, place: Place, runs: &[Run]);
 }
 
-/// The rows of the tile and the patch of a block, seen from one of its cells.
+/// The rows of the tile and the patch of a block, both from the corner of a cell's halo on.
 pub struct InRows<'a> {
     /// The tile's rows, and [`crate::tile::SLACK`] behind them.
     pub samples: &'a [f32],
-    /// First words of the rows of each y, from the cell's halo on.
-    pub starts: &'a [usize],
-    /// First word, in a row of the tile, of the cell's halo.
-    pub column: usize,
     /// Words from a row of the tile to the next.
     pub stride: usize,
-    /// The patch, from the cell's halo on, and slack behind it.
+    /// The patch, and slack behind it.
     pub patch: &'a mut [i32],
     /// Words from a row of the patch to the next.
     pub patch_stride: usize,
@@ -89,18 +85,13 @@ pub struct InRows<'a> {
 }
 
 impl InRows<'_> {
-    /// First word of a run in the tile.
+    /// First word of a run in the tile and in the patch, and its number of words.
     #[inline(always)]
-    fn in_tile(&self, place: Place, run: Run) -> usize {
+    fn words(&self, place: Place, run: Run) -> (usize, usize, usize) {
         let Place { x, y, t } = place.at(run, self.frames);
-        self.starts[y] + t * self.stride + self.column + x * self.pixel
-    }
-
-    /// First word of a run in the patch.
-    #[inline(always)]
-    fn in_patch(&self, place: Place, run: Run) -> usize {
-        let Place { x, y, t } = place.at(run, self.frames);
-        (y * self.frames + t) * self.patch_stride + x * self.pixel
+        let (row, column) = (y * self.frames + t, x * self.pixel);
+        let words = run.len as usize * self.pixel;
+        (row * self.stride + column, row * self.patch_stride + column, words)
     }
 
     /// Calls `visit(samples, patch, [x, y, t])` for every pixel that the cell sees, a box of
@@ -111,18 +102,16 @@ impl InRows<'_> {
         [width, height]: [usize; 2],
         mut visit: impl FnMut(&[f32], &mut [i32], [usize; 3]),
     ) {
-        for y in 0..height {
-            for t in 0..self.frames {
-                let tile = self.starts[y] + t * self.stride + self.column;
-                let patch = (y * self.frames + t) * self.patch_stride;
-                for x in 0..width {
-                    let words = x * self.pixel..(x + 1) * self.pixel;
-                    visit(
-                        &self.samples[tile + words.start..tile + words.end],
-                        &mut self.patch[patch + words.start..patch + words.end],
-                        [x, y, t],
-                    );
-                }
+        for (y, t) in (0..height).flat_map(|y| (0..self.frames).map(move |t| (y, t))) {
+            let row = y * self.frames + t;
+            for x in 0..width {
+                let tile = row * self.stride + x * self.pixel;
+                let patch = row * self.patch_stride + x * self.pixel;
+                visit(
+                    &self.samples[tile..tile + self.pixel],
+                    &mut self.patch[patch..patch + self.pixel],
+                    [x, y, t],
+                );
             }
         }
     }
@@ -130,11 +119,25 @@ impl InRows<'_> {
 
 impl Memory for InRows<'_> {
     #[inline(always)]
+    fn prefetch<I: Isa>(&self, isa: I, place: Place, runs: &[Run]) {
+        for &run in runs {
+            let (samples, patch, words) = self.words(place, run);
+            let mut k = 0;
+            while k < words {
+                isa.prefetch(self.samples, samples + k);
+                isa.prefetch(self.patch, patch + k);
+                k += CHUNK;
+            }
+            isa.prefetch(self.samples, samples + words - 1);
+            isa.prefetch(self.patch, patch + words - 1);
+        }
+    }
+
+    #[inline(always)]
     fn gather(&self, place: Place, runs: &[Run], points: &mut [f32]) {
         let mut to = 0;
         for &run in runs {
-            let from = self.in_tile(place, run);
-            let words = run.len as usize * self.pixel;
+            let (from, _, words) = self.words(place, run);
             let mut k = 0;
             while k < words {
                 points[to + k..to + k + CHUNK]
@@ -149,8 +152,7 @@ impl Memory for InRows<'_> {
     fn scatter(&mut self, place: Place, runs: &[Run], pulls: &[f32]) {
         let mut from = 0;
         for &run in runs {
-            let to = self.in_patch(place, run);
-            let words = run.len as usize * self.pixel;
+            let (_, to, words) = self.words(place, run);
             let mut k = 0;
             while k < words {
                 let mask = CHUNK - (words - k).min(CHUNK);
@@ -163,23 +165,6 @@ impl Memory for InRows<'_> {
                 k += CHUNK;
             }
             from += words;
-        }
-    }
-
-    #[inline(always)]
-    fn prefetch<I: Isa>(&self, isa: I, place: Place, runs: &[Run]) {
-        const WORDS: usize = LINE / size_of::<f32>();
-        for &run in runs {
-            let (tile, patch) = (self.in_tile(place, run), self.in_patch(place, run));
-            let last = run.len as usize * self.pixel - 1;
-            let mut k = 0;
-            while k < last {
-                isa.prefetch(self.samples, tile + k);
-                isa.prefetch(self.patch, patch + k);
-                k += WORDS;
-            }
-            isa.prefetch(self.samples, tile + last);
-            isa.prefetch(self.patch, patch + last);
         }
     }
 }
@@ -213,6 +198,14 @@ impl Placed<'_> {
 
 impl Memory for Placed<'_> {
     #[inline(always)]
+    fn prefetch<I: Isa>(&self, isa: I, place: Place, runs: &[Run]) {
+        self.visit(place, runs, |word| {
+            isa.prefetch(self.samples, word);
+            isa.prefetch(self.patch, word);
+        });
+    }
+
+    #[inline(always)]
     fn gather(&self, place: Place, runs: &[Run], points: &mut [f32]) {
         let mut to = 0;
         self.visit(place, runs, |word| {
@@ -234,7 +227,4 @@ impl Memory for Placed<'_> {
         });
         self.patch = patch;
     }
-
-    #[inline(always)]
-    fn prefetch<I: Isa>(&self, _: I, _: Place, _: &[Run]) {}
 }

@@ -26,7 +26,7 @@ use crate::tile::{Block, Cell, Layout, Partition, Placement, Rows, SLACK};
 use memory::{CHUNK, InRows, Memory, Place, Placed};
 use probe::{Probe, Stage};
 use rank::Keys;
-use simd::{Isa, Simd, Vectorized};
+use simd::{Isa, LANES, Simd, Vectorized};
 
 /// The unit of integer gradients.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -75,12 +75,9 @@ pub struct Workspace {
     draws: CellDraws,
     /// Runs of a subset that is in no table.
     runs: Vec<Run>,
-    /// Coordinates of the gathered samples, and the pulls on them, sample after sample.
-    points: Vec<f32>,
-    pulls: Vec<f32>,
-    /// One number for each sample: its projection, and the target of its rank.
-    projections: Vec<f32>,
-    wanted: Vec<f32>,
+    slots: [Slot; STAGES],
+    /// Samples or pulls of a draw taken apart, one plane for each dimension.
+    planes: Vec<f32>,
     /// The target of each rank.
     targets: Vec<f32>,
     keys: Keys,
@@ -88,20 +85,17 @@ pub struct Workspace {
     placed: (Vec<f32>, Vec<i32>),
 }
 
-impl Workspace {
-    /// Makes room for subsets of `n` samples.
-    #[inline(always)]
-    fn grow(&mut self, n: usize, dims: usize) {
-        let padded = n.next_multiple_of(LANES);
-        if self.projections.len() < padded {
-            for scratch in [&mut self.projections, &mut self.wanted, &mut self.targets] {
-                scratch.resize(padded, 0.0);
-            }
-            for scratch in [&mut self.points, &mut self.pulls] {
-                scratch.resize(padded * dims + CHUNK, 0.0);
-            }
-        }
-    }
+/// What one draw carries from stage to stage.
+#[derive(Debug, Clone, Default)]
+struct Slot {
+    /// Samples of the subset, and the next multiple of [`LANES`].
+    n: usize,
+    padded: usize,
+    /// Gathered samples, point after point; later the pulls on them.
+    points: Vec<f32>,
+    /// For each direction, the projection of each sample, and the target of its rank.
+    projections: Vec<f32>,
+    wanted: Vec<f32>,
 }
 
 /// The integer gradient of a block, private until it is merged.
@@ -126,7 +120,10 @@ impl Objective {
     const SCALE: f64 = (1 << 24) as f64;
 
     fn add(&mut self, squared_distance: f64) {
-        self.units += libm::round(squared_distance * Self::SCALE) as i64;
+        // Adding 1.5·2⁵² rounds to an integer; the bits above it are those of this number.
+        const MAGIC: f64 = 6_755_399_441_055_744.0;
+        let rounded = squared_distance * Self::SCALE + MAGIC;
+        self.units += rounded.to_bits() as i64 - MAGIC.to_bits() as i64;
         self.directions += 1;
     }
 
@@ -240,22 +237,13 @@ impl Gradient {
                 draws: draws_of_cell,
                 probe: &mut *probe,
             };
-            let objective = match self.partition.shape().dims() {
-                1 => self.simd.run(Fixed::<1, P>(job)),
-                2 => self.simd.run(Fixed::<2, P>(job)),
-                3 => self.simd.run(Fixed::<3, P>(job)),
-                4 => self.simd.run(Fixed::<4, P>(job)),
-                _ => self.simd.run(Any(job)),
-            };
+            let objective = self.simd.run(job);
             workspace.draws = draws;
             objective
         };
         block.cells().iter().map(cell).sum()
     }
 }
-
-/// Samples that are projected at a time, each in a lane of its own.
-const LANES: usize = 8;
 
 /// All draws of a cell, to be done in one go.
 struct Job<'a, P> {
@@ -269,45 +257,27 @@ struct Job<'a, P> {
     probe: &'a mut P,
 }
 
-/// A job in a number of dimensions that the compiler knows.
-struct Fixed<'a, const DIMS: usize, P>(Job<'a, P>);
-
-impl<const DIMS: usize, P: Probe> Vectorized for Fixed<'_, DIMS, P> {
+impl<P: Probe> Vectorized for Job<'_, P> {
     type Output = Objective;
 
     #[inline(always)]
     fn run<I: Isa>(self, isa: I) -> Objective {
-        run(self.0, DIMS, isa)
-    }
-}
-
-/// A job in any number of dimensions.
-struct Any<'a, P>(Job<'a, P>);
-
-impl<P: Probe> Vectorized for Any<'_, P> {
-    type Output = Objective;
-
-    #[inline(always)]
-    fn run<I: Isa>(self, isa: I) -> Objective {
-        let dims = self.0.gradient.partition.shape().dims();
-        run(self.0, dims, isa)
+        run(self, isa)
     }
 }
 
 /// Does a job in the layout that it asks for.
 #[inline(always)]
-fn run<I: Isa, P: Probe>(job: Job<'_, P>, dims: usize, isa: I) -> Objective {
+fn run<I: Isa, P: Probe>(job: Job<'_, P>, isa: I) -> Objective {
     let Job { gradient, block, place, samples, patch, workspace, draws, probe } = job;
     let rows = &gradient.rows;
     let frames = rows.shape().frames();
     let reach = rows.reach();
-    // The part of the patch that the cell sees begins with the halo of its first row.
+    // Rows and patch both begin with a halo, so what the cell sees of them begins at its place.
     let corner = block.place();
     let start = (place.y - corner.y) * block.line() + (place.x - corner.x) * rows.pixel();
     let mut memory = InRows {
-        samples,
-        starts: &rows.starts()[place.y..],
-        column: place.x * rows.pixel(),
+        samples: &samples[place.y * rows.line() + place.x * rows.pixel()..],
         stride: rows.stride(),
         patch: &mut patch.words[start..],
         patch_stride: block.stride(),
@@ -315,7 +285,7 @@ fn run<I: Isa, P: Probe>(job: Job<'_, P>, dims: usize, isa: I) -> Objective {
         pixel: rows.pixel(),
     };
     if gradient.layout == Layout::Rows {
-        return all_draws(gradient, &mut memory, draws, workspace, dims, isa, probe);
+        return all_draws(gradient, &mut memory, draws, workspace, isa, probe);
     }
     let size = [reach.left + place.width + reach.right, reach.up + place.height + reach.down];
     let placement = Placement::new(gradient.layout, [size[0], size[1], frames], rows.pixel());
@@ -328,13 +298,9 @@ fn run<I: Isa, P: Probe>(job: Job<'_, P>, dims: usize, isa: I) -> Objective {
         copy[to..to + rows.pixel()].copy_from_slice(tile);
     });
     probe.lap(Stage::Gather);
-    let mut placed = Placed {
-        placement: &placement,
-        samples: &copy,
-        patch: &mut sums,
-        pixel: rows.pixel(),
-    };
-    let objective = all_draws(gradient, &mut placed, draws, workspace, dims, isa, probe);
+    let mut placed =
+        Placed { placement: &placement, samples: &copy, patch: &mut sums, pixel: rows.pixel() };
+    let objective = all_draws(gradient, &mut placed, draws, workspace, isa, probe);
     memory.visit(size, |_, patch, [x, y, t]| {
         let from = placement.word(x, y, t);
         patch.iter_mut().zip(&sums[from..]).for_each(|(to, from)| *to += from);
@@ -344,86 +310,121 @@ fn run<I: Isa, P: Probe>(job: Job<'_, P>, dims: usize, isa: I) -> Objective {
     objective
 }
 
+/// Stages that a draw goes through: gather, rank, pull, scatter.
+const STAGES: usize = 4;
+
+/// Most numbers of a subset for which draws overlap.
+const OVERLAPPED: usize = 1024;
+
+/// Does all draws of a cell.
+///
+/// Small draws go through their stages staggered: while one is gathered, the one before is
+/// ranked, and so on. What a stage writes in pieces the next one reads in whole registers, and a
+/// processor can do that at once only if the writing was a while ago.
 #[inline(always)]
 fn all_draws<M: Memory, I: Isa, P: Probe>(
     gradient: &Gradient,
     memory: &mut M,
     draws: &CellDraws,
     workspace: &mut Workspace,
-    dims: usize,
     isa: I,
     probe: &mut P,
 ) -> Objective {
     let per_draw = gradient.draws.options().directions;
-    let reach = gradient.rows.reach();
-    let mut scratch = std::mem::take(&mut workspace.runs);
-    let mut objective = Objective::default();
+    let (reach, shape) = (gradient.rows.reach(), gradient.rows.shape());
     let place = |draw: &Draw| Place {
         x: draw.x as usize + reach.left,
         y: draw.y as usize + reach.up,
         t: draw.t as usize,
     };
-    let runs = &gradient.runs;
-    for (i, directions) in draws.directions.chunks(per_draw).enumerate() {
+    let directions = |i: usize| &draws.directions[i * per_draw..(i + 1) * per_draw];
+    let Workspace { slots, runs: scratch, planes, targets, keys, .. } = workspace;
+    let longest = draws.draws.iter().map(|draw| draw.taps as usize).max().unwrap_or(0);
+    let numbers = longest * shape.spp() * shape.dims();
+    let lag = usize::from(numbers <= OVERLAPPED);
+    let count = draws.draws.len();
+    let mut objective = Objective::default();
+    for i in 0..count + (STAGES - 1) * lag {
         if let Some(next) = draws.draws.get(i + AHEAD) {
-            let runs = runs.of(next.set as usize, next.taps as usize, &mut scratch);
+            let runs = gradient.runs.of(next.set as usize, next.taps as usize, scratch);
             memory.prefetch(isa, place(next), runs);
         }
-        let draw = &draws.draws[i];
-        let runs = runs.of(draw.set as usize, draw.taps as usize, &mut scratch);
-        let subset = Subset { place: place(draw), runs, taps: draw.taps as usize, directions };
-        one_draw(gradient, memory, subset, workspace, dims, isa, probe, &mut objective);
+        // The draw in a stage now, if there is one, and its slot.
+        let at = |stage: usize| {
+            let draw = i.checked_sub(stage * lag).filter(|&draw| draw < count);
+            draw.map(|draw| (draw, if lag == 0 { 0 } else { draw % STAGES }))
+        };
+        if let Some((i, slot)) = at(0) {
+            let draw = &draws.draws[i];
+            let runs = gradient.runs.of(draw.set as usize, draw.taps as usize, scratch);
+            let slot = &mut slots[slot];
+            slot.grow(draw.taps as usize * shape.spp(), shape.dims(), per_draw);
+            memory.gather(place(draw), runs, &mut slot.points);
+            probe.lap(Stage::Gather);
+        }
+        if let Some((i, slot)) = at(1) {
+            rank(gradient, &mut slots[slot], directions(i), planes, targets, keys, isa, probe);
+        }
+        if let Some((i, slot)) = at(2) {
+            pull(gradient, &mut slots[slot], directions(i), planes, isa, &mut objective);
+            probe.lap(Stage::Transport);
+        }
+        if let Some((i, slot)) = at(3) {
+            let draw = &draws.draws[i];
+            let runs = gradient.runs.of(draw.set as usize, draw.taps as usize, scratch);
+            memory.scatter(place(draw), runs, &slots[slot].points);
+            probe.lap(Stage::Scatter);
+        }
     }
-    workspace.runs = scratch;
     objective
 }
 
-/// Draws between asking for samples and using them.
-const AHEAD: usize = 2;
+/// Draws between asking for samples and gathering them.
+const AHEAD: usize = 1;
 
-/// A draw with the runs of its samples.
-struct Subset<'a> {
-    place: Place,
-    runs: &'a [Run],
-    taps: usize,
-    directions: &'a [Direction],
+impl Slot {
+    /// Makes room for a subset of `n` samples.
+    #[inline(always)]
+    fn grow(&mut self, n: usize, dims: usize, directions: usize) {
+        (self.n, self.padded) = (n, n.next_multiple_of(LANES));
+        if self.points.len() < self.padded * dims + CHUNK {
+            self.points.resize(self.padded * dims + CHUNK, 0.0);
+        }
+        if self.wanted.len() < self.padded * directions {
+            self.projections.resize(self.padded * directions, 0.0);
+            self.wanted.resize(self.padded * directions, 0.0);
+        }
+    }
 }
 
-/// Gathers, then projects, ranks and pulls along each direction, then scatters.
+/// Projects the samples of a subset on each direction and finds the target of each.
 #[inline(always)]
 #[allow(clippy::too_many_arguments, reason = "one caller, into which it is inlined")]
-fn one_draw<M: Memory, I: Isa, P: Probe>(
+fn rank<I: Isa, P: Probe>(
     gradient: &Gradient,
-    memory: &mut M,
-    subset: Subset<'_>,
-    workspace: &mut Workspace,
-    dims: usize,
+    slot: &mut Slot,
+    directions: &[Direction],
+    planes: &mut Vec<f32>,
+    targets: &mut Vec<f32>,
+    keys: &mut Keys,
     isa: I,
     probe: &mut P,
-    objective: &mut Objective,
 ) {
-    let Subset { place, runs, taps, directions } = subset;
-    let n = taps * gradient.rows.shape().spp();
-    workspace.grow(n, dims);
-    let Workspace { points, pulls, projections, wanted, targets, keys, .. } = workspace;
-    memory.gather(place, runs, points);
-    probe.lap(Stage::Gather);
-
-    let padded = n.next_multiple_of(LANES);
-    let (points, targets) = (&points[..padded * dims], &mut targets[..n]);
-    let (projections, wanted) = (&mut projections[..padded], &mut wanted[..padded]);
-    for (nth, direction) in directions.iter().enumerate() {
-        let theta = &direction.theta[..dims];
-        for (lanes, points) in
-            projections.chunks_exact_mut(LANES).zip(points.chunks_exact(LANES * dims))
-        {
-            for (lane, projection) in lanes.iter_mut().enumerate() {
-                let mut sum = 0.0;
-                for k in 0..dims {
-                    sum += theta[k] * points[lane * dims + k];
-                }
-                *projection = sum;
-            }
+    let dims = gradient.rows.shape().dims();
+    let &mut Slot { n, padded, ref points, ref mut projections, ref mut wanted } = slot;
+    if planes.len() < padded * dims {
+        planes.resize(padded * dims, 0.0);
+        targets.resize(padded, 0.0);
+    }
+    // Lanes behind the last sample carry what was there before; nobody asks for it.
+    isa.split(points, planes, padded, dims);
+    let planes = planes[..padded * dims].chunks_exact(padded);
+    let targets = &mut targets[..n];
+    let lanes = projections.chunks_exact_mut(padded).zip(wanted.chunks_exact_mut(padded));
+    for (direction, (projections, wanted)) in directions.iter().zip(lanes) {
+        projections.fill(0.0);
+        for (plane, theta) in planes.clone().zip(direction.theta) {
+            projections.iter_mut().zip(plane).for_each(|(sum, &x)| *sum += theta * x);
         }
         probe.lap(Stage::Project);
         let (low, length) = direction.extent(dims);
@@ -434,30 +435,45 @@ fn one_draw<M: Memory, I: Isa, P: Probe>(
             wanted[position] = target;
         }
         wanted[n..].copy_from_slice(&projections[n..]);
-        let scale = gradient.quantum.scale();
+        probe.lap(Stage::Transport);
+    }
+}
+
+/// Turns the differences of projections to their targets into pulls on the samples.
+#[inline(always)]
+fn pull<I: Isa>(
+    gradient: &Gradient,
+    slot: &mut Slot,
+    directions: &[Direction],
+    planes: &mut [f32],
+    isa: I,
+    objective: &mut Objective,
+) {
+    let dims = gradient.rows.shape().dims();
+    let scale = gradient.quantum.scale();
+    let &mut Slot { n, padded, ref mut points, ref projections, ref mut wanted } = slot;
+    let planes = &mut planes[..padded * dims];
+    let lanes = projections.chunks_exact(padded).zip(wanted.chunks_exact_mut(padded));
+    for (nth, (direction, (projections, wanted))) in directions.iter().zip(lanes).enumerate() {
         let mut squares = [0.0_f32; LANES];
-        let pulls = pulls.chunks_exact_mut(LANES * dims);
-        for ((at, to), pulls) in
-            projections.chunks_exact(LANES).zip(wanted.chunks_exact(LANES)).zip(pulls)
-        {
-            let mut differences = [0.0_f32; LANES];
+        let chunks = wanted.chunks_exact_mut(LANES).zip(projections.chunks_exact(LANES));
+        for (wanted, projections) in chunks {
             for lane in 0..LANES {
-                differences[lane] = to[lane] - at[lane];
-                squares[lane] += differences[lane] * differences[lane];
-            }
-            for lane in 0..LANES {
-                for k in 0..dims {
-                    let pull = scale * theta[k] * differences[lane];
-                    let sum = &mut pulls[lane * dims + k];
-                    *sum = if nth == 0 { pull } else { *sum + pull };
-                }
+                wanted[lane] -= projections[lane];
+                squares[lane] += wanted[lane] * wanted[lane];
             }
         }
         objective.add(f64::from(squares.iter().sum::<f32>()) / n as f64);
-        probe.lap(Stage::Transport);
+        for (plane, theta) in planes.chunks_exact_mut(padded).zip(direction.theta) {
+            let by = scale * theta;
+            if nth == 0 {
+                plane.iter_mut().zip(&*wanted).for_each(|(pull, &d)| *pull = by * d);
+            } else {
+                plane.iter_mut().zip(&*wanted).for_each(|(pull, &d)| *pull += by * d);
+            }
+        }
     }
-    memory.scatter(place, runs, pulls);
-    probe.lap(Stage::Scatter);
+    isa.join(planes, points, padded, dims);
 }
 
 /// The nearest integer (ties to even) of a number of magnitude below 2²².

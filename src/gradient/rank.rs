@@ -27,7 +27,13 @@ impl Keys {
     ///
     /// All projections lie in `[low, low + length]` up to rounding, and none is NaN or −0.
     #[inline(always)]
-    pub fn sort<I: Isa>(&mut self, isa: I, projections: &[f32], low: f32, length: f32) -> Sorted<'_> {
+    pub fn sort<I: Isa>(
+        &mut self,
+        isa: I,
+        projections: &[f32],
+        low: f32,
+        length: f32,
+    ) -> Sorted<'_> {
         let n = projections.len();
         let needed = BITS - (n as u32).saturating_sub(1).leading_zeros();
         let position_bits = needed.max(BITS - PLACE_BITS);

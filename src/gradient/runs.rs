@@ -92,9 +92,7 @@ fn join(taps: &[(Run, u32)], count: u32, runs: &mut Vec<Run>) {
     let start = runs.len();
     for &(tap, _) in taps.iter().filter(|(_, by)| *by < count) {
         match runs[start..].last_mut() {
-            Some(run)
-                if (run.dy, run.dt, run.dx + run.len as i32) == (tap.dy, tap.dt, tap.dx) =>
-            {
+            Some(run) if (run.dy, run.dt, run.dx + run.len as i32) == (tap.dy, tap.dt, tap.dx) => {
                 run.len += 1;
             }
             _ => runs.push(tap),

@@ -16,6 +16,8 @@ pub struct Targets {
     /// For every direction of the fixed set, the integral of the inverse CDF from 0 to
     /// j/[`NODES`], j = 0..=NODES.
     tables: Vec<Vec<f64>>,
+    /// Means of √u over [i, i + 1].
+    root_means: Vec<f32>,
 }
 
 /// Intervals of a table; also the resolution of the density that it is made from.
@@ -26,7 +28,8 @@ impl Targets {
     pub fn new(set: &DirectionSet) -> Self {
         let dims = set.dims();
         let table = |magnitudes: &[f32; MAX_DIMS]| integrated_quantiles(&magnitudes[..dims]);
-        Self { dims, tables: set.magnitudes().iter().map(table).collect() }
+        let tables = set.magnitudes().iter().map(table).collect();
+        Self { dims, tables, root_means: root_means(1024) }
     }
 
     /// The inverse CDF along `direction` at `u` in [0, 1], counted from its lower end.
@@ -63,7 +66,7 @@ impl Targets {
                     let x = x.abs();
                     (a, b) = (a.max(x), b.max(a.min(x)));
                 }
-                trapezoid(a, b, low, targets);
+                trapezoid(a, b, low, &self.root_means, targets);
             }
             Density::Table { index } => {
                 let table = &self.tables[index as usize];
@@ -90,27 +93,39 @@ fn integral(table: &[f64], u: f64) -> f64 {
 /// Targets for the sum of two independent uniform numbers on [0, a] and [0, b], a ≥ b ≥ 0.
 ///
 /// With c = b/2a, the inverse CDF is √(2abu) for u ≤ c and au + b/2 up to 1/2; the rest is its
-/// mirror image. The mean over an interval is that of its two parts, by their lengths.
+/// mirror image. `means` are those of √u over [i, i + 1].
 #[inline(always)]
-fn trapezoid(a: f32, b: f32, low: f32, targets: &mut [f32]) {
+fn trapezoid(a: f32, b: f32, low: f32, means: &[f32], targets: &mut [f32]) {
     let n = targets.len();
     let count = n as f32;
     let knee = count * (b / (2.0 * a));
-    let root = (2.0 / 3.0) * (2.0 * a * b / count).sqrt();
+    let root = (2.0 * a * b / count).sqrt();
     let slope = a / (2.0 * count);
     let half = n / 2;
     let (front, back) = targets.split_at_mut(n - half);
-    for (i, target) in front[..half].iter_mut().enumerate() {
-        let (start, end) = (i as f32, i as f32 + 1.0);
-        let (l0, l1) = (start.min(knee), end.min(knee));
-        let (m0, m1) = (start.max(knee), end.max(knee));
-        // Mean of √u between l0 and l1, as a ratio that cannot cancel; 0/tiny where c is 0.
-        let (s0, s1) = (l0.sqrt(), l1.sqrt());
-        let curved = root * (l1 - l0) * (l0 + s0 * s1 + l1) / (s0 + s1 + f32::MIN_POSITIVE);
-        let straight = (m1 - m0) * (slope * (m0 + m1) + 0.5 * b);
-        *target = curved + straight;
+    let (near, far) = front[..half].split_at_mut(half.min(means.len()));
+    let pick = |i: f32, mean: f32| {
+        let straight = slope * (2.0 * i + 1.0) + 0.5 * b;
+        if i + 1.0 <= knee { root * mean } else { straight }
+    };
+    for (i, (target, &mean)) in near.iter_mut().zip(means).enumerate() {
+        *target = pick(i as u32 as f32, mean);
     }
-    for (target, mirror) in back.iter_mut().rev().zip(&*front) {
+    for (i, target) in far.iter_mut().enumerate() {
+        let i = (i + means.len()) as u32 as f32;
+        *target = pick(i, (i + 0.5).sqrt());
+    }
+    let bend = knee as usize;
+    if bend < half {
+        // The interval that has both parts; their means by their lengths.
+        let start = bend as f32;
+        let (s0, s1) = (start.sqrt(), knee.sqrt());
+        let below = (knee - start) * (start + s0 * s1 + knee) / (s0 + s1 + f32::MIN_POSITIVE);
+        let end = start + 1.0;
+        let above = (end - knee) * (slope * (knee + end) + 0.5 * b);
+        front[bend] = root * (2.0 / 3.0) * below + above;
+    }
+    for (target, mirror) in back.iter_mut().rev().zip(&front[..half]) {
         *target = (a + b - mirror) + low;
     }
     for target in &mut front[..half] {
@@ -119,6 +134,12 @@ fn trapezoid(a: f32, b: f32, low: f32, targets: &mut [f32]) {
     if n % 2 == 1 {
         front[half] = 0.5 * (a + b) + low;
     }
+}
+
+/// Means of √u over [i, i + 1] for i below `count`; from 1024 on √(i + ½) is as good in f32.
+fn root_means(count: u32) -> Vec<f32> {
+    let power = |i: u32| f64::from(i) * f64::from(i).sqrt();
+    (0..count).map(|i| (2.0 / 3.0 * (power(i + 1) - power(i))) as f32).collect()
 }
 
 /// The integral of the inverse CDF of Σ mₖ·uₖ at the nodes of a table.
@@ -185,7 +206,7 @@ mod tests {
             let theta = DirectionSet::new(2).pair(0, 1, angle / f64::consts::PI).theta;
             let (a, b) = (theta[0].max(theta[1]), theta[0].min(theta[1]));
             let mut targets = vec![0.0; n];
-            trapezoid(a, b, 0.0, &mut targets);
+            trapezoid(a, b, 0.0, &root_means(1024), &mut targets);
             for rank in [0, n / 5, n / 2, n - 1] {
                 let expected = reference::target(&theta[..2], rank, n);
                 let error = f64::from(targets[rank]) - expected;
@@ -272,12 +293,12 @@ mod tests {
     fn a_table_of_two_components_equals_the_trapezoid() {
         let (a, b) = (0.8_f32, 0.6_f32);
         let table = integrated_quantiles(&[a, b]);
-        let targets = Targets { dims: 3, tables: vec![table] };
+        let targets = Targets { dims: 3, tables: vec![table], root_means: root_means(1024) };
         let mut theta = [0.0; MAX_DIMS];
         (theta[0], theta[2]) = (b, a);
         for n in [1, 4, 61, 1000] {
             let mut expected = vec![0.0; n];
-            trapezoid(a, b, 0.0, &mut expected);
+            trapezoid(a, b, 0.0, &root_means(9), &mut expected);
             let mut found = vec![0.0; n];
             targets.fill(&Direction { theta, density: Density::Table { index: 0 } }, &mut found);
             for (x, y) in found.iter().zip(&expected) {

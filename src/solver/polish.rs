@@ -20,7 +20,7 @@ use serde::{Deserialize, Serialize};
 use crate::gradient::simd::{Isa, Simd, Vectorized};
 use crate::kernel::KernelTaps;
 use crate::solver::adam::AdamOptions;
-use crate::solver::state::{CellSamples, State, own_words};
+use crate::solver::state::{CellSamples, State};
 use crate::tile::{Partition, Reach, Rows};
 
 /// How the polish is done.
@@ -128,13 +128,14 @@ impl Polish {
         self.pull();
         let Self { options, simd, state, pulls, .. } = self;
         let factors = options.adam.factors(step, options.steps, 1.0);
-        let own = own_words(state.rows());
+        let own = state.rows().own();
         let line = own * state.rows().shape().frames();
         state.lines_mut().zip(pulls.par_chunks(line)).for_each(|(mut line, pulls)| {
             for (t, pulls) in pulls.chunks(own).enumerate() {
                 line.update(t, factors, pulls, *simd);
             }
         });
+        state.close();
     }
 
     /// Goes on from other samples, with the moments as they are.
@@ -153,7 +154,7 @@ impl Polish {
         let shape = rows.shape();
         let PolishOptions { axis_weight, linear_weight, .. } = *options;
         let terms = Terms { axis: axis_weight as f32, linear: linear_weight as f32 };
-        let line = own_words(rows) * shape.frames();
+        let line = rows.own() * shape.frames();
         pulls.par_chunks_mut(BAND * line).enumerate().for_each(|(band, pulls)| {
             let planes = Planes::new(rows, state.samples(), band * BAND, pulls.len() / line);
             pulls.fill(0.0);
@@ -204,8 +205,8 @@ impl Planes {
         let size = width * height * frames + LANES;
         let mut words = vec![vec![0.0; size]; pixel];
         for t in 0..frames {
-            for (j, start) in rows.starts()[y..y + height].iter().enumerate() {
-                let row = &samples[start + t * rows.stride()..][..rows.stride()];
+            for j in 0..height {
+                let row = &samples[(y + j) * rows.line() + t * rows.stride()..][..rows.stride()];
                 for (k, plane) in words.iter_mut().enumerate() {
                     let to = &mut plane[(t * height + j) * width..][..width];
                     let from = row[k..].iter().step_by(pixel);
@@ -252,8 +253,7 @@ impl Vectorized for FrameJob<'_> {
     fn run<I: Isa>(self, _: I) {
         let Self { frame, pulls } = self;
         let Planes { reach, width, height, frames, .. } = *frame.planes;
-        let (width, lines) =
-            (width - reach.left - reach.right, height - reach.up - reach.down);
+        let (width, lines) = (width - reach.left - reach.right, height - reach.up - reach.down);
         let (spp, dims) = (frame.spp, frame.dims);
         for y in 0..lines {
             for x in (0..width).step_by(LANES) {

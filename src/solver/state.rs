@@ -96,11 +96,12 @@ impl State {
         let pixel = rows.pixel();
         visit_rows(partition, |x, y, t, width| {
             let (row, rest) = words.split_at(width * pixel);
-            let start = y * rows.line() + t * rows.stride() + rows.lead() + x * pixel;
+            let start = rows.word(x, y, t);
             samples[start..start + row.len()].copy_from_slice(row);
             words = rest;
         });
-        samples[..rows.words()].par_chunks_mut(rows.stride()).for_each(|row| rows.close(row));
+        samples[rows.lines()].chunks_mut(rows.stride()).for_each(|row| rows.close_row(row));
+        rows.close_lines(samples);
     }
 
     /// How the samples lie.
@@ -118,27 +119,27 @@ impl State {
         let rows = &self.rows;
         let mut words = Vec::with_capacity(rows.shape().coordinates());
         visit_rows(partition, |x, y, t, width| {
-            let start = y * rows.line() + t * rows.stride() + rows.lead() + x * rows.pixel();
+            let start = rows.word(x, y, t);
             words.extend(&self.samples[start..start + width * rows.pixel()]);
         });
         CellSamples { words }
     }
 
+    /// Renews the copies of lines, after [`Self::lines_mut`].
+    pub fn close(&mut self) {
+        self.rows.close_lines(&mut self.samples);
+    }
+
     /// The lines of the tile, in order of y, to be changed.
     pub fn lines_mut(&mut self) -> impl IndexedParallelIterator<Item = Line<'_>> {
         let rows = &self.rows;
-        let words = own_words(rows) * rows.shape().frames();
-        self.samples[..rows.words()]
+        let words = rows.own() * rows.shape().frames();
+        self.samples[rows.lines()]
             .par_chunks_mut(rows.line())
             .zip(self.first.par_chunks_mut(words))
             .zip(self.second.par_chunks_mut(words))
             .map(move |((samples, first), second)| Line { rows, samples, first, second })
     }
-}
-
-/// Words of the pixels of a row.
-pub(crate) fn own_words(rows: &Rows) -> usize {
-    rows.shape().width() * rows.pixel()
 }
 
 /// The rows of one y in all frames.
@@ -152,7 +153,7 @@ pub(crate) struct Line<'a> {
 impl Line<'_> {
     /// Moves the samples of frame `t` by Adam.
     pub fn update<P: Pull>(&mut self, t: usize, factors: Factors, pulls: &[P], simd: Simd) {
-        let own = own_words(self.rows);
+        let own = self.rows.own();
         let moments = t * own..(t + 1) * own;
         let row = &mut self.samples[t * self.rows.stride()..(t + 1) * self.rows.stride()];
         let lead = self.rows.lead();
@@ -163,7 +164,7 @@ impl Line<'_> {
             first: &mut self.first[moments.clone()],
             second: &mut self.second[moments],
         });
-        self.rows.close(row);
+        self.rows.close_row(row);
     }
 }
 
@@ -177,8 +178,7 @@ mod tests {
     fn cell_order_and_rows_lose_nothing() {
         let shape = TileShape::new(37, 35, 3, 2, 3).unwrap();
         let reach = Reach { left: 2, right: 3, up: 1, down: 0 };
-        let (tile, partition) =
-            (Baseline::White.tile(shape, 4), Partition::new(shape, reach, 1));
+        let (tile, partition) = (Baseline::White.tile(shape, 4), Partition::new(shape, reach, 1));
         let samples = CellSamples::from_tile(&tile, &partition);
         assert_eq!(samples.to_tile(&partition), tile);
         // The first row of the first cell, and the first pixel of the second cell.
@@ -191,7 +191,7 @@ mod tests {
         let rows = Rows::new(shape, reach);
         let mut state = State::new(rows.clone(), &partition, &samples);
         assert_eq!(state.cell_samples(&partition), samples);
-        let start = 5 * rows.line() + 2 * rows.stride();
+        let start = 6 * rows.line() + 2 * rows.stride();
         assert_eq!(state.samples()[start..start + 3], *tile.point(35, 5, 2, 0));
         assert_eq!(state.samples()[start + 12..start + 15], *tile.point(0, 5, 2, 0));
 

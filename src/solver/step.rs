@@ -12,7 +12,7 @@ use crate::gradient::probe::{Probe, Stage, Unprobed};
 use crate::gradient::simd::{Isa, Simd, Vectorized};
 use crate::gradient::{Gradient, Objective, Patch, Workspace};
 use crate::solver::adam::AdamOptions;
-use crate::solver::state::{CellSamples, State, own_words};
+use crate::solver::state::{CellSamples, State};
 use crate::tile::{Block, Overlap, SLACK};
 
 /// The descent on the filtered sliced Wasserstein distance.
@@ -73,7 +73,7 @@ impl<P: Probe> Descent<P> {
         let patches = vec![0; blocks.iter().map(|block| block.words() + SLACK).sum()];
         let scratch = SegQueue::new();
         for _ in 0..threads {
-            let sums = vec![0; own_words(state.rows())];
+            let sums = vec![0; state.rows().own()];
             scratch.push(Scratch { workspace: Workspace::default(), sums, probe: probe() });
         }
         Self { world, gradient, adam, steps, simd, state, blocks, overlap, patches, scratch }
@@ -145,14 +145,12 @@ impl<P: Probe> Descent<P> {
                 }
             });
         });
+        state.close();
     }
 }
 
 /// Works with a thread's scratch; there is one for each thread.
-fn with<P: Probe, T>(
-    scratch: &SegQueue<Scratch<P>>,
-    work: impl FnOnce(&mut Scratch<P>) -> T,
-) -> T {
+fn with<P: Probe, T>(scratch: &SegQueue<Scratch<P>>, work: impl FnOnce(&mut Scratch<P>) -> T) -> T {
     let mut mine = scratch.pop().expect("scratch for every thread");
     mine.probe.begin();
     let result = work(&mut mine);

@@ -55,11 +55,7 @@ pub struct Placement {
 
 impl Placement {
     /// Places pixels of `pixel` words each.
-    pub fn new(
-        layout: Layout,
-        [width, height, frames]: [usize; 3],
-        pixel: usize,
-    ) -> Self {
+    pub fn new(layout: Layout, [width, height, frames]: [usize; 3], pixel: usize) -> Self {
         let axis = |size: usize, place: &dyn Fn(usize) -> usize| -> Vec<usize> {
             (0..size).map(|i| place(i) * pixel).collect()
         };

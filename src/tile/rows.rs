@@ -1,10 +1,10 @@
 //! How the samples of a tile lie in memory while they are optimized.
 //!
-//! A *row* is one line of pixels of one frame; rows lie in the order `(y, t)`, so that the rows
-//! of one place in all frames are neighbours, as they are in a kernel. In front of a row and
-//! behind it stand copies of its pixels around the torus, as far as draws reach: what a draw
-//! needs of a row is one run of memory, wherever it lies. In y the torus is closed by
-//! [`Rows::starts`].
+//! A *row* is one line of pixels of one frame, and a *line* the rows of one y in all frames; rows
+//! lie in the order `(y, t)`, so that a kernel's frames of one place are neighbours. In front of
+//! a row and behind it stand copies of its pixels around the torus, as far as draws reach, and
+//! above and below the tile copies of its lines: what a draw needs of a row is one run of
+//! memory, wherever it lies.
 
 use crate::tile::{Reach, TileShape};
 
@@ -16,19 +16,12 @@ pub const SLACK: usize = 16;
 pub struct Rows {
     shape: TileShape,
     reach: Reach,
-    starts: Vec<usize>,
 }
 
 impl Rows {
     /// Rows of `shape` with copies for draws of a given `reach`.
     pub fn new(shape: TileShape, reach: Reach) -> Self {
-        let mut rows = Self { shape, reach, starts: Vec::new() };
-        let height = shape.height();
-        let first = height * reach.up.div_ceil(height) - reach.up;
-        rows.starts = (0..reach.up + height + reach.down)
-            .map(|i| (first + i) % height * rows.line())
-            .collect();
-        rows
+        Self { shape, reach }
     }
 
     /// The tile's shape.
@@ -51,19 +44,19 @@ impl Rows {
         (self.reach.left + self.shape.width() + self.reach.right) * self.pixel()
     }
 
-    /// Words of the rows of one y in all frames.
+    /// Words of a line.
     pub fn line(&self) -> usize {
         self.stride() * self.shape.frames()
     }
 
-    /// Words of all rows, without the [`SLACK`] behind them.
+    /// Words of all rows, copies included, without the [`SLACK`] behind them.
     pub fn words(&self) -> usize {
-        self.line() * self.shape.height()
+        self.line() * (self.reach.up + self.shape.height() + self.reach.down)
     }
 
-    /// For y from −`reach.up` to `height + reach.down`, the first word of its rows.
-    pub fn starts(&self) -> &[usize] {
-        &self.starts
+    /// Words of a row's own pixels, without the copies around them.
+    pub fn own(&self) -> usize {
+        self.shape.width() * self.pixel()
     }
 
     /// First word of a row's own pixels, counted from the row's start.
@@ -71,17 +64,44 @@ impl Rows {
         self.reach.left * self.pixel()
     }
 
+    /// The words of the tile's own lines.
+    pub fn lines(&self) -> std::ops::Range<usize> {
+        let start = self.reach.up * self.line();
+        start..start + self.shape.height() * self.line()
+    }
+
+    /// First word of pixel `(x, y)` of frame `t`.
+    pub fn word(&self, x: usize, y: usize, t: usize) -> usize {
+        let row = (self.reach.up + y) * self.shape.frames() + t;
+        row * self.stride() + self.lead() + x * self.pixel()
+    }
+
     /// Renews the copies in front of a row's own pixels and behind them.
-    pub fn close(&self, row: &mut [f32]) {
-        let own = self.shape.width() * self.pixel();
-        let lead = self.lead();
-        // From the inside outwards, so that longer reaches than the tile is wide find copies.
-        for i in (0..lead).rev() {
-            row[i] = row[i + own];
-        }
-        for i in lead + own..row.len() {
-            row[i] = row[i - own];
-        }
+    pub fn close_row(&self, row: &mut [f32]) {
+        close(row, self.lead(), self.own());
+    }
+
+    /// Renews the copies of lines above the tile and below it.
+    pub fn close_lines(&self, samples: &mut [f32]) {
+        let lines = self.lines();
+        close(&mut samples[..self.words()], lines.start, lines.len());
+    }
+}
+
+/// Renews the copies in front of the `own` words from `lead` on, and behind them.
+fn close(words: &mut [f32], lead: usize, own: usize) {
+    // From the inside outwards, so that longer reaches than the tile is wide find copies.
+    let mut start = lead;
+    while start > 0 {
+        let len = start.min(own);
+        words.copy_within(start + own - len..start + own, start - len);
+        start -= len;
+    }
+    let mut end = lead + own;
+    while end < words.len() {
+        let len = (words.len() - end).min(own);
+        words.copy_within(end - own..end - own + len, end);
+        end += len;
     }
 }
 
@@ -103,17 +123,19 @@ mod tests {
                 (shape.pixel(x, y, t) * pixel + k) as f32
             };
             let mut memory = vec![-1.0; rows.words()];
-            for (i, row) in memory.chunks_mut(rows.stride()).enumerate() {
+            for (i, row) in memory[rows.lines()].chunks_mut(rows.stride()).enumerate() {
                 let (y, t) = (i / frames, i % frames);
                 for x in 0..width {
                     (0..pixel).for_each(|k| row[rows.lead() + x * pixel + k] = word(x, y, t, k));
                 }
-                rows.close(row);
+                rows.close_row(row);
             }
+            rows.close_lines(&mut memory);
+            prop_assert_eq!(memory[rows.word(0, height - 1, 0)], word(0, height - 1, 0, 0));
             for y in 0..up + height + down {
                 for t in 0..frames {
                     for x in 0..left + width + right {
-                        let start = rows.starts()[y] + t * rows.stride() + x * pixel;
+                        let start = y * rows.line() + t * rows.stride() + x * pixel;
                         let at = |i: usize, lead: usize, size: usize| {
                             (i as i64 - lead as i64).rem_euclid(size as i64) as usize
                         };

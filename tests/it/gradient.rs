@@ -3,9 +3,9 @@
 
 use glam::IVec3;
 use perceptile::draw::{CellDraws, DrawOptions, Draws, LevelSets, Stream, Use};
+use perceptile::gradient::probe::Unprobed;
 use perceptile::gradient::reference::{self, ReferenceDraw};
 use perceptile::gradient::simd::Simd;
-use perceptile::gradient::probe::Unprobed;
 use perceptile::gradient::{Gradient, Objective, Patch, Quantum, Workspace};
 use perceptile::kernel::{KernelSpec, KernelTaps, Tap};
 use perceptile::metric::Baseline;
@@ -108,14 +108,14 @@ struct Blocks {
 fn rows(case: &Case, gradient: &Gradient) -> Vec<f32> {
     let (shape, rows) = (case.tile.shape(), gradient.rows());
     let mut samples = vec![0.0; rows.words() + SLACK];
-    let own = shape.width() * rows.pixel();
-    for (i, row) in samples[..rows.words()].chunks_mut(rows.stride()).enumerate() {
+    let own = rows.own();
+    for (i, row) in samples[rows.lines()].chunks_mut(rows.stride()).enumerate() {
         let (y, t) = (i / shape.frames(), i % shape.frames());
         let from = shape.pixel(0, y, t) * rows.pixel();
-        row[rows.lead()..rows.lead() + own]
-            .copy_from_slice(&case.tile.samples()[from..from + own]);
-        rows.close(row);
+        row[rows.lead()..rows.lead() + own].copy_from_slice(&case.tile.samples()[from..from + own]);
+        rows.close_row(row);
     }
+    rows.close_lines(&mut samples);
     samples
 }
 

@@ -1,4 +1,5 @@
-//! AVX2: the copy of every inner loop that is compiled for it, a sort, and prefetches.
+//! AVX2: the copy of every inner loop that is compiled for it, transpositions, a sort, and
+//! prefetches.
 //!
 //! The sort is a bitonic one (Batcher 1968) without a branch on the keys. Blocks of 64 keys are
 //! sorted in eight registers, as columns first, so that most comparisons are between registers;
@@ -7,7 +8,7 @@
 
 use std::arch::x86_64::*;
 
-use super::{Isa, SORT_BLOCK, Vectorized};
+use super::{Isa, LANES, SORT_BLOCK, SPARE, Vectorized};
 
 /// Proof that the processor has AVX2.
 #[derive(Clone, Copy)]
@@ -34,6 +35,35 @@ impl Isa for Avx2 {
     }
 
     #[inline(always)]
+    fn split(self, points: &[f32], planes: &mut [f32], n: usize, dims: usize) {
+        check(n, dims, points.len(), planes.len());
+        // SAFETY: an `Avx2` exists, so the processor has the one feature that these need, and
+        // `check` has seen to the sizes that they ask for.
+        #[allow(unsafe_code)]
+        unsafe {
+            match dims {
+                1 => planes[..n].copy_from_slice(&points[..n]),
+                2 => split_pairs(points.as_ptr(), planes.as_mut_ptr(), n),
+                _ => split_fours(points.as_ptr(), planes.as_mut_ptr(), n, dims),
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn join(self, planes: &[f32], points: &mut [f32], n: usize, dims: usize) {
+        check(n, dims, points.len(), planes.len());
+        // SAFETY: as in `split`.
+        #[allow(unsafe_code)]
+        unsafe {
+            match dims {
+                1 => points[..n].copy_from_slice(&planes[..n]),
+                2 => join_pairs(planes.as_ptr(), points.as_mut_ptr(), n),
+                _ => join_fours(planes.as_ptr(), points.as_mut_ptr(), n, dims),
+            }
+        }
+    }
+
+    #[inline(always)]
     fn prefetch<T>(self, slice: &[T], index: usize) {
         let place = slice.as_ptr().wrapping_add(index).cast::<i8>();
         // SAFETY: a prefetch reads nothing that the program could see, faults at no address, and
@@ -45,8 +75,128 @@ impl Isa for Avx2 {
     }
 }
 
-/// Keys of a register.
-const LANES: usize = 8;
+/// Whether slices have the sizes that transpositions ask for.
+#[inline(always)]
+fn check(n: usize, dims: usize, points: usize, planes: usize) {
+    assert!(n.is_multiple_of(LANES) && dims > 0, "{n} points of {dims} numbers");
+    let words = n.checked_mul(dims).expect("numbers that fit into memory");
+    assert!(words <= planes && words + SPARE <= points, "{words} numbers");
+}
+
+/// Takes points of two numbers apart.
+///
+/// # Safety
+/// `n` is a multiple of 8, and there are 2·n numbers to be read and to be written.
+#[target_feature(enable = "avx2")]
+#[inline]
+#[allow(unsafe_code)]
+unsafe fn split_pairs(points: *const f32, planes: *mut f32, n: usize) {
+    for i in (0..n).step_by(LANES) {
+        // SAFETY: i + 8 ≤ n, so points 2i to 2i + 16 and places i + 8 of both planes exist.
+        unsafe {
+            let a = _mm256_loadu_ps(points.add(2 * i));
+            let b = _mm256_loadu_ps(points.add(2 * i + LANES));
+            // Points 0 1 4 5 | 2 3 6 7, then in order.
+            let x = _mm256_castps_pd(_mm256_shuffle_ps::<0b10_00_10_00>(a, b));
+            let y = _mm256_castps_pd(_mm256_shuffle_ps::<0b11_01_11_01>(a, b));
+            let x = _mm256_castpd_ps(_mm256_permute4x64_pd::<0b11_01_10_00>(x));
+            let y = _mm256_castpd_ps(_mm256_permute4x64_pd::<0b11_01_10_00>(y));
+            _mm256_storeu_ps(planes.add(i), x);
+            _mm256_storeu_ps(planes.add(n + i), y);
+        }
+    }
+}
+
+/// Puts two planes together to points.
+///
+/// # Safety
+/// `n` is a multiple of 8, and there are 2·n numbers to be read and to be written.
+#[target_feature(enable = "avx2")]
+#[inline]
+#[allow(unsafe_code)]
+unsafe fn join_pairs(planes: *const f32, points: *mut f32, n: usize) {
+    for i in (0..n).step_by(LANES) {
+        // SAFETY: i + 8 ≤ n, so points 2i to 2i + 16 and places i + 8 of both planes exist.
+        unsafe {
+            let (x, y) = (_mm256_loadu_ps(planes.add(i)), _mm256_loadu_ps(planes.add(n + i)));
+            let (a, b) = (_mm256_unpacklo_ps(x, y), _mm256_unpackhi_ps(x, y));
+            _mm256_storeu_ps(points.add(2 * i), _mm256_permute2f128_ps::<0x20>(a, b));
+            _mm256_storeu_ps(points.add(2 * i + LANES), _mm256_permute2f128_ps::<0x31>(a, b));
+        }
+    }
+}
+
+/// The first of each four numbers of a point that are moved together. The last four overlap the
+/// ones before, unless there are three numbers only and one of the next point is moved with them.
+fn fours(dims: usize) -> impl Iterator<Item = usize> {
+    (0..dims).step_by(4).map(move |k| k.min(dims.saturating_sub(4)))
+}
+
+/// Makes rows of four lanes columns, in both halves of registers.
+#[target_feature(enable = "avx2")]
+#[inline]
+fn turn(r: [__m256; 4]) -> [__m256; 4] {
+    let (a, b) = (_mm256_unpacklo_ps(r[0], r[1]), _mm256_unpackhi_ps(r[0], r[1]));
+    let (c, d) = (_mm256_unpacklo_ps(r[2], r[3]), _mm256_unpackhi_ps(r[2], r[3]));
+    [
+        _mm256_shuffle_ps::<0b01_00_01_00>(a, c),
+        _mm256_shuffle_ps::<0b11_10_11_10>(a, c),
+        _mm256_shuffle_ps::<0b01_00_01_00>(b, d),
+        _mm256_shuffle_ps::<0b11_10_11_10>(b, d),
+    ]
+}
+
+/// Takes points of three or more numbers apart.
+///
+/// # Safety
+/// `n` is a multiple of 8, `dims` is at least 3, there are `n·dims + 4` numbers to be read and
+/// `n·dims` to be written.
+#[target_feature(enable = "avx2")]
+#[inline]
+#[allow(unsafe_code)]
+unsafe fn split_fours(points: *const f32, planes: *mut f32, n: usize, dims: usize) {
+    for i in (0..n).step_by(LANES) {
+        for k in fours(dims) {
+            // SAFETY: point i + 7 < n exists; four numbers from k on are its own, or with three
+            // dimensions one of the next point, or behind the last one.
+            let row = |j: usize| unsafe { _mm_loadu_ps(points.add((i + j) * dims + k)) };
+            let rows = [0, 1, 2, 3].map(|j| _mm256_set_m128(row(j + 4), row(j)));
+            for (j, column) in turn(rows).into_iter().enumerate().take(dims - k) {
+                // SAFETY: k + j < dims and i + 8 ≤ n, so the place is in one of the planes.
+                unsafe { _mm256_storeu_ps(planes.add((k + j) * n + i), column) }
+            }
+        }
+    }
+}
+
+/// Puts three or more planes together to points.
+///
+/// # Safety
+/// `n` is a multiple of 8, `dims` is at least 3, there are `n·dims` numbers to be read and
+/// `n·dims + 4` to be written.
+#[target_feature(enable = "avx2")]
+#[inline]
+#[allow(unsafe_code)]
+unsafe fn join_fours(planes: *const f32, points: *mut f32, n: usize, dims: usize) {
+    for i in (0..n).step_by(LANES) {
+        for k in fours(dims) {
+            let mut columns = [_mm256_setzero_ps(); 4];
+            for (j, column) in columns.iter_mut().enumerate().take(dims - k) {
+                // SAFETY: k + j < dims and i + 8 ≤ n, so the place is in one of the planes.
+                *column = unsafe { _mm256_loadu_ps(planes.add((k + j) * n + i)) };
+            }
+            // In rising order: with three dimensions a fourth number falls on the next point,
+            // which is written later.
+            let rows = turn(columns);
+            let lows = rows.map(|row| _mm256_castps256_ps128(row));
+            let highs = rows.map(|row| _mm256_extractf128_ps::<1>(row));
+            for (j, row) in lows.into_iter().chain(highs).enumerate() {
+                // SAFETY: point i + j < n exists; four numbers from k on as in `split_fours`.
+                unsafe { _mm_storeu_ps(points.add((i + j) * dims + k), row) }
+            }
+        }
+    }
+}
 
 #[target_feature(enable = "avx2")]
 #[inline]
@@ -97,10 +247,7 @@ fn compare(low: &mut __m256i, high: &mut __m256i) {
 #[target_feature(enable = "avx2")]
 #[inline]
 fn exchange<const MAX: i32>(vector: __m256i, partner: __m256i) -> __m256i {
-    _mm256_blend_epi32::<MAX>(
-        _mm256_min_epu32(vector, partner),
-        _mm256_max_epu32(vector, partner),
-    )
+    _mm256_blend_epi32::<MAX>(_mm256_min_epu32(vector, partner), _mm256_max_epu32(vector, partner))
 }
 
 /// Swaps the halves of a register.
@@ -155,8 +302,25 @@ fn sort_block(keys: &mut [[u32; LANES]; LANES]) {
     }
     // The optimal network of 19 comparators for eight keys (Knuth, volume 3, section 5.3.4).
     const NETWORK: [(usize, usize); 19] = [
-        (0, 2), (1, 3), (4, 6), (5, 7), (0, 4), (1, 5), (2, 6), (3, 7), (0, 1), (2, 3), (4, 5),
-        (6, 7), (2, 4), (3, 5), (1, 4), (3, 6), (1, 2), (3, 4), (5, 6),
+        (0, 2),
+        (1, 3),
+        (4, 6),
+        (5, 7),
+        (0, 4),
+        (1, 5),
+        (2, 6),
+        (3, 7),
+        (0, 1),
+        (2, 3),
+        (4, 5),
+        (6, 7),
+        (2, 4),
+        (3, 5),
+        (1, 4),
+        (3, 6),
+        (1, 2),
+        (3, 4),
+        (5, 6),
     ];
     for (i, j) in NETWORK {
         let (low, high) = v.split_at_mut(j);
@@ -186,9 +350,8 @@ fn sort_block(keys: &mut [[u32; LANES]; LANES]) {
 #[target_feature(enable = "avx2")]
 #[inline]
 fn transpose(v: &mut [__m256i; LANES]) {
-    let t = [0, 2, 4, 6].map(|i| {
-        [_mm256_unpacklo_epi32(v[i], v[i + 1]), _mm256_unpackhi_epi32(v[i], v[i + 1])]
-    });
+    let t = [0, 2, 4, 6]
+        .map(|i| [_mm256_unpacklo_epi32(v[i], v[i + 1]), _mm256_unpackhi_epi32(v[i], v[i + 1])]);
     for half in 0..2 {
         // Rows 4·half to 4·half + 3 of columns 0–3 (low halves) and 4–7 (high halves).
         let (a, b) = (t[2 * half], t[2 * half + 1]);

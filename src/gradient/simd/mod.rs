@@ -15,6 +15,12 @@ pub use plain::Plain;
 /// Keys that [`Isa::sort`] sorts at a time.
 pub const SORT_BLOCK: usize = 64;
 
+/// Points that are taken apart or put together at a time.
+pub const LANES: usize = 8;
+
+/// Numbers behind the last point that may be touched.
+pub const SPARE: usize = 4;
+
 /// What instruction sets do differently.
 pub trait Isa: Copy {
     /// Sorts keys in rising order.
@@ -22,6 +28,17 @@ pub trait Isa: Copy {
     /// # Panics
     /// If their number is no multiple of [`SORT_BLOCK`].
     fn sort(self, keys: &mut [u32]);
+
+    /// Takes points apart: writes number k of point i to `planes[k · n + i]`.
+    ///
+    /// # Panics
+    /// If `n`, the number of points, is no multiple of [`LANES`], if `planes` has no room for
+    /// `n · dims` numbers, or `points` does not have as many and [`SPARE`] behind them.
+    fn split(self, points: &[f32], planes: &mut [f32], n: usize, dims: usize);
+
+    /// Puts planes together to points, the inverse of [`Self::split`], under the same conditions.
+    /// What is behind the last point may change.
+    fn join(self, planes: &[f32], points: &mut [f32], n: usize, dims: usize);
 
     /// Asks for the cache line of an element that will be needed soon; of no effect where there
     /// is none.
@@ -109,7 +126,45 @@ mod tests {
         }
     }
 
+    struct Split<'a>(&'a [f32], &'a mut [f32], usize, usize);
+
+    impl Vectorized for Split<'_> {
+        type Output = ();
+
+        #[inline(always)]
+        fn run<I: Isa>(self, isa: I) {
+            isa.split(self.0, self.1, self.2, self.3);
+        }
+    }
+
+    struct Join<'a>(&'a [f32], &'a mut [f32], usize, usize);
+
+    impl Vectorized for Join<'_> {
+        type Output = ();
+
+        #[inline(always)]
+        fn run<I: Isa>(self, isa: I) {
+            isa.join(self.0, self.1, self.2, self.3);
+        }
+    }
+
     proptest! {
+        #[test]
+        fn planes_hold_what_points_hold(blocks in 0_usize..9, dims in 1_usize..17) {
+            let n = blocks * LANES;
+            let points: Vec<f32> = (0..n * dims + SPARE).map(|i| i as f32).collect();
+            for simd in [Simd::detect(), Simd::plain()] {
+                let mut planes = vec![-1.0; n * dims];
+                simd.run(Split(&points, &mut planes, n, dims));
+                for (place, &x) in planes.iter().enumerate() {
+                    prop_assert_eq!(x, (place % n * dims + place / n) as f32);
+                }
+                let mut back = vec![-1.0; n * dims + SPARE];
+                simd.run(Join(&planes, &mut back, n, dims));
+                prop_assert_eq!(&back[..n * dims], &points[..n * dims]);
+            }
+        }
+
         #[test]
         fn keys_are_sorted_by_every_instruction_set(
             blocks in 0_usize..40, few: bool, seed: u64,

@@ -14,5 +14,24 @@ impl Isa for Plain {
     }
 
     #[inline(always)]
+    fn split(self, points: &[f32], planes: &mut [f32], n: usize, dims: usize) {
+        for k in 0..dims {
+            let plane = &mut planes[k * n..(k + 1) * n];
+            for (i, x) in plane.iter_mut().enumerate() {
+                *x = points[i * dims + k];
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn join(self, planes: &[f32], points: &mut [f32], n: usize, dims: usize) {
+        for k in 0..dims {
+            for (i, &x) in planes[k * n..(k + 1) * n].iter().enumerate() {
+                points[i * dims + k] = x;
+            }
+        }
+    }
+
+    #[inline(always)]
     fn prefetch<T>(self, _: &[T], _: usize) {}
 }
