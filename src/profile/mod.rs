@@ -5,4 +5,5 @@
 
 pub mod cache;
 pub mod machine;
+pub mod roofline;
 pub mod trace;
