@@ -39,6 +39,7 @@ pub mod format;
 pub mod gradient;
 pub mod kernel;
 pub mod metric;
+pub mod profile;
 pub mod run;
 pub mod solver;
 pub mod tile;

@@ -65,8 +65,8 @@ pub fn check(options: &Options, kernel: &Kernel, threads: usize) -> Result<(), M
     }
 }
 
-/// Bytes that programs can have without swapping (Linux).
-fn free() -> Option<u64> {
+/// Bytes that programs can have without swapping, where the system tells (Linux).
+pub fn free() -> Option<u64> {
     let text = std::fs::read_to_string("/proc/meminfo").ok()?;
     let line = text.lines().find_map(|line| line.strip_prefix("MemAvailable:"))?;
     line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok()?.checked_mul(1024)

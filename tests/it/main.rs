@@ -6,4 +6,5 @@ mod determinism;
 mod format;
 mod gradient;
 mod metric;
+mod profile;
 mod solver;
