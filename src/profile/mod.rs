@@ -1,6 +1,7 @@
 //! Where the time and the memory traffic of a run go.
 //!
 //! ```text
+//!  stages: time of each stage of a step
 //!  machine: caches, cores ──► cache: misses of an access stream, model
 //!            │                counters: misses as the processor counts them, if it does
 //!            └──────────────► roofline: what this machine could do at best
@@ -14,4 +15,5 @@ pub mod cache;
 pub mod counters;
 pub mod machine;
 pub mod roofline;
+pub mod stages;
 pub mod trace;

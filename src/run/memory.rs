@@ -38,11 +38,8 @@ pub fn foreseen(options: &Options, kernel: &Kernel, threads: usize) -> u64 {
     };
     let patches = pixels(reach, threads.saturating_mul(BLOCKS_PER_THREAD));
     let descent = pixels(reach, 1).saturating_add(patches);
-    let polish = if options.polish.steps > 0 {
-        pixels(reach.doubled(), 1).saturating_add(tile)
-    } else {
-        0
-    };
+    let polish =
+        if options.polish.steps > 0 { pixels(reach.doubled(), 1).saturating_add(tile) } else { 0 };
     let words = descent.max(polish);
     let directions = options.draw.directions.saturating_mul(size_of::<Direction>());
     let draws = options.draw.draws.saturating_mul(size_of::<Draw>().saturating_add(directions));

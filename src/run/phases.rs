@@ -143,8 +143,7 @@ impl<'a> Run<'a> {
         }
         let classes = self.kernel.classes();
         let classes: Vec<_> = classes.iter().map(|class| (class.weight, &class.taps)).collect();
-        let mut polish =
-            Polish::new(&self.partition, &classes, options, self.simd, &self.samples);
+        let mut polish = Polish::new(&self.partition, &classes, options, self.simd, &self.samples);
         for step in 0..options.steps {
             if !self.goes_on(observer) {
                 break;
