@@ -169,7 +169,7 @@ fn polish(criterion: &mut Criterion) {
     let samples = CellSamples::from_tile(&tile, &partition);
     let classes = [(1.0, &taps)];
     let simd = Simd::detect();
-    let mut polish = Polish::new(World::Local, &partition, &classes, options, simd, &samples);
+    let mut polish = Polish::new(&partition, &classes, options, simd, &samples);
     (0..20).for_each(|step| polish.step(step));
     let scorer = scorer(shape, &taps);
     let edge = |tile: &Tile| edge(&scorer, tile);

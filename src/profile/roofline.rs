@@ -19,7 +19,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::machine::Machine;
-use crate::gradient::simd::{Simd, Vectorized};
+use crate::gradient::simd::{Isa, Simd, Vectorized};
 use crate::run::memory;
 
 /// How long each rate is measured.
@@ -280,7 +280,7 @@ impl<const LANES: usize> Vectorized for Chain<LANES> {
     type Output = f32;
 
     #[inline(always)]
-    fn run(self) -> f32 {
+    fn run<I: Isa>(self, _: I) -> f32 {
         let Self { repeats, factor, term } = self;
         let mut lanes: [f32; LANES] = array::from_fn(|lane| lane as f32);
         for _ in 0..repeats {
