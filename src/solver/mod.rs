@@ -7,6 +7,7 @@
 
 pub mod adam;
 mod options;
+mod pages;
 pub mod polish;
 pub mod start;
 mod state;

@@ -8,6 +8,7 @@ use rayon::prelude::*;
 
 use crate::gradient::simd::Simd;
 use crate::solver::adam::{Factors, Pull, Update};
+use crate::solver::pages::Pages;
 use crate::tile::{Cell, Partition, Rows, SLACK, Tile};
 
 /// The samples of a rank's cells in *cell order* (cell after cell, each in C order, no halos).
@@ -66,13 +67,13 @@ fn visit_rows(partition: &Partition, mut row: impl FnMut(usize, usize, usize, us
 }
 
 /// Samples and Adam's moments of a tile.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub(crate) struct State {
     rows: Rows,
-    samples: Vec<f32>,
+    samples: Pages<f32>,
     /// Moments in the order of the rows, without the copies around them.
-    first: Vec<f32>,
-    second: Vec<f32>,
+    first: Pages<f32>,
+    second: Pages<f32>,
 }
 
 impl State {
@@ -80,9 +81,9 @@ impl State {
     pub fn new(rows: Rows, partition: &Partition, samples: &CellSamples) -> Self {
         let coordinates = rows.shape().coordinates();
         let mut state = Self {
-            samples: vec![0.0; rows.words() + SLACK],
-            first: vec![0.0; coordinates],
-            second: vec![0.0; coordinates],
+            samples: Pages::zeros(rows.words() + SLACK),
+            first: Pages::zeros(coordinates),
+            second: Pages::zeros(coordinates),
             rows,
         };
         state.replace(partition, samples);

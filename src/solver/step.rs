@@ -12,6 +12,7 @@ use crate::gradient::probe::{Probe, Stage, Unprobed};
 use crate::gradient::simd::{Isa, Simd, Vectorized};
 use crate::gradient::{Gradient, Objective, Patch, Workspace};
 use crate::solver::adam::AdamOptions;
+use crate::solver::pages::Pages;
 use crate::solver::state::{CellSamples, State};
 use crate::tile::{Block, Overlap, SLACK};
 
@@ -25,7 +26,7 @@ pub struct Descent<P = Unprobed> {
     state: State,
     blocks: Vec<Block>,
     overlap: Overlap,
-    patches: Vec<i32>,
+    patches: Pages<i32>,
     scratch: SegQueue<Scratch<P>>,
 }
 
@@ -70,7 +71,7 @@ impl<P: Probe> Descent<P> {
         let blocks = partition.blocks(threads * BLOCKS_PER_THREAD);
         let overlap = Overlap::new(partition.shape(), &blocks);
         let state = State::new(gradient.rows().clone(), partition, samples);
-        let patches = vec![0; blocks.iter().map(|block| block.words() + SLACK).sum()];
+        let patches = Pages::zeros(blocks.iter().map(|block| block.words() + SLACK).sum());
         let scratch = SegQueue::new();
         for _ in 0..threads {
             let sums = vec![0; state.rows().own()];
