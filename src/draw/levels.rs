@@ -8,6 +8,9 @@ use glam::IVec3;
 use crate::kernel::KernelTaps;
 use crate::tile::Reach;
 
+/// Bins of thresholds.
+const GUIDES: usize = 256;
+
 /// The taps of one sign of one kernel, by falling weight.
 #[derive(Debug, Clone)]
 pub struct LevelSet {
@@ -15,6 +18,8 @@ pub struct LevelSet {
     pub offsets: Vec<IVec3>,
     /// Magnitudes of the weights in units of the largest, falling from 1.
     levels: Vec<f64>,
+    /// Number of levels above each multiple of 1/[`GUIDES`], to look thresholds up faster.
+    guide: Vec<u32>,
     /// One past the share of draws up to and including this set, in [0, 1].
     cumulative: f64,
 }
@@ -22,7 +27,9 @@ pub struct LevelSet {
 impl LevelSet {
     /// Number of taps above a threshold in [0, 1), in units of the largest weight.
     pub fn above(&self, threshold: f64) -> usize {
-        self.levels.partition_point(|&level| level > threshold)
+        let bin = ((threshold * GUIDES as f64) as usize).min(GUIDES - 1);
+        let (low, high) = (self.guide[bin + 1] as usize, self.guide[bin] as usize);
+        low + self.levels[low..high].partition_point(|&level| level > threshold)
     }
 
     /// Whether a threshold can leave exactly `count` taps, the first ones.
@@ -56,9 +63,16 @@ impl LevelSets {
             let range: f64 = halves.iter().map(|half| half.peak).sum();
             for half in halves {
                 cumulative += weight / total * half.peak / range;
+                let levels: Vec<f64> =
+                    half.taps.iter().map(|tap| tap.weight / half.peak).collect();
+                let above = |bin: usize| {
+                    let threshold = bin as f64 / GUIDES as f64;
+                    levels.partition_point(|&level| level > threshold) as u32
+                };
                 sets.push(LevelSet {
                     offsets: half.taps.iter().map(|tap| tap.offset).collect(),
-                    levels: half.taps.iter().map(|tap| tap.weight / half.peak).collect(),
+                    guide: (0..=GUIDES).map(above).collect(),
+                    levels,
                     cumulative,
                 });
             }

@@ -123,11 +123,14 @@ impl Draws {
         let turn = stream.below(pixels as u32) as usize;
         let mut directions = Stream::new(self.seed, Use::Directions, step, cell as u32);
         let unit = |word: u32| f64::from(word) / (1_u64 << 32) as f64;
+        let mut next = 0;
         for i in 0..count {
             // Strata of whole pixels, turned by a random amount so that all are equally likely.
-            let first = stratum(i, count, pixels);
-            let size = (stratum(i + 1, count, pixels) - first).max(1);
-            let pixel = (first + stream.below(size as u32) as usize + turn) % pixels;
+            let first = next;
+            next = stratum(i + 1, count, pixels);
+            let size = (next - first).max(1);
+            let turned = first + stream.below(size as u32) as usize + turn;
+            let pixel = if turned < pixels { turned } else { turned - pixels };
             let [class, level, angle]: [f64; 3] = std::array::from_fn(|k| {
                 unit(shift[k].wrapping_add((i as u32).wrapping_mul(STRIDES[k])))
             });
@@ -179,7 +182,10 @@ impl Draws {
 
 /// First of the `pixels` that belong to stratum `i` of `count`.
 fn stratum(i: usize, count: usize, pixels: usize) -> usize {
-    (i as u128 * pixels as u128 / count as u128) as usize
+    match i.checked_mul(pixels) {
+        Some(product) => product / count,
+        None => (i as u128 * pixels as u128 / count as u128) as usize,
+    }
 }
 
 #[cfg(test)]

@@ -76,13 +76,20 @@ pub struct Workspace {
     /// Runs of a subset that is in no table.
     runs: Vec<Run>,
     slots: [Slot; STAGES],
-    /// Samples or pulls of a draw taken apart, one plane for each dimension.
-    planes: Vec<f32>,
-    /// The target of each rank.
-    targets: Vec<f32>,
-    keys: Keys,
+    stage: StageScratch,
     /// What a cell sees, in another layout than the tile's.
     placed: (Vec<f32>, Vec<i32>),
+}
+
+/// What a stage needs while it works on one draw.
+#[derive(Debug, Clone, Default)]
+struct StageScratch {
+    /// Samples or pulls of a draw taken apart, one plane for each dimension.
+    planes: Vec<f32>,
+    /// The target of each rank, and what they are made from.
+    targets: Vec<f32>,
+    integrals: Vec<f64>,
+    keys: Keys,
 }
 
 /// What one draw carries from stage to stage.
@@ -338,7 +345,7 @@ fn all_draws<M: Memory, I: Isa, P: Probe>(
         t: draw.t as usize,
     };
     let directions = |i: usize| &draws.directions[i * per_draw..(i + 1) * per_draw];
-    let Workspace { slots, runs: scratch, planes, targets, keys, .. } = workspace;
+    let Workspace { slots, runs: scratch, stage, .. } = workspace;
     let longest = draws.draws.iter().map(|draw| draw.taps as usize).max().unwrap_or(0);
     let numbers = longest * shape.spp() * shape.dims();
     let lag = usize::from(numbers <= OVERLAPPED);
@@ -363,10 +370,10 @@ fn all_draws<M: Memory, I: Isa, P: Probe>(
             probe.lap(Stage::Gather);
         }
         if let Some((i, slot)) = at(1) {
-            rank(gradient, &mut slots[slot], directions(i), planes, targets, keys, isa, probe);
+            rank(gradient, &mut slots[slot], directions(i), stage, isa, probe);
         }
         if let Some((i, slot)) = at(2) {
-            pull(gradient, &mut slots[slot], directions(i), planes, isa, &mut objective);
+            pull(gradient, &mut slots[slot], directions(i), stage, isa, &mut objective);
             probe.lap(Stage::Transport);
         }
         if let Some((i, slot)) = at(3) {
@@ -399,19 +406,17 @@ impl Slot {
 
 /// Projects the samples of a subset on each direction and finds the target of each.
 #[inline(always)]
-#[allow(clippy::too_many_arguments, reason = "one caller, into which it is inlined")]
 fn rank<I: Isa, P: Probe>(
     gradient: &Gradient,
     slot: &mut Slot,
     directions: &[Direction],
-    planes: &mut Vec<f32>,
-    targets: &mut Vec<f32>,
-    keys: &mut Keys,
+    stage: &mut StageScratch,
     isa: I,
     probe: &mut P,
 ) {
     let dims = gradient.rows.shape().dims();
     let &mut Slot { n, padded, ref points, ref mut projections, ref mut wanted } = slot;
+    let StageScratch { planes, targets, integrals, keys } = stage;
     if planes.len() < padded * dims {
         planes.resize(padded * dims, 0.0);
         targets.resize(padded, 0.0);
@@ -430,7 +435,7 @@ fn rank<I: Isa, P: Probe>(
         let (low, length) = direction.extent(dims);
         let sorted = keys.sort(isa, &projections[..n], low, length);
         probe.lap(Stage::Rank);
-        gradient.targets.fill(direction, targets);
+        gradient.targets.fill(isa, direction, integrals, targets);
         for (position, &target) in sorted.positions().zip(&*targets) {
             wanted[position] = target;
         }
@@ -445,14 +450,14 @@ fn pull<I: Isa>(
     gradient: &Gradient,
     slot: &mut Slot,
     directions: &[Direction],
-    planes: &mut [f32],
+    stage: &mut StageScratch,
     isa: I,
     objective: &mut Objective,
 ) {
     let dims = gradient.rows.shape().dims();
     let scale = gradient.quantum.scale();
     let &mut Slot { n, padded, ref mut points, ref projections, ref mut wanted } = slot;
-    let planes = &mut planes[..padded * dims];
+    let planes = &mut stage.planes[..padded * dims];
     let lanes = projections.chunks_exact(padded).zip(wanted.chunks_exact_mut(padded));
     for (nth, (direction, (projections, wanted))) in directions.iter().zip(lanes).enumerate() {
         let mut squares = [0.0_f32; LANES];

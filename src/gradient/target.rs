@@ -6,6 +6,7 @@
 
 use std::f64;
 
+use super::simd::{Isa, PLACES};
 use crate::draw::{Density, Direction, DirectionSet};
 use crate::tile::MAX_DIMS;
 
@@ -54,9 +55,16 @@ impl Targets {
         }
     }
 
-    /// Writes the targets along `direction` of all ranks of a set of `targets.len()` samples.
+    /// Writes the targets along `direction` of all ranks of a set of `targets.len()` samples;
+    /// `integrals` is scratch that the caller lends.
     #[inline(always)]
-    pub fn fill(&self, direction: &Direction, targets: &mut [f32]) {
+    pub fn fill<I: Isa>(
+        &self,
+        isa: I,
+        direction: &Direction,
+        integrals: &mut Vec<f64>,
+        targets: &mut [f32],
+    ) {
         // Negative components mirror the projection; it then starts below 0.
         let (low, _) = direction.extent(self.dims);
         match direction.density {
@@ -69,14 +77,23 @@ impl Targets {
                 trapezoid(a, b, low, &self.root_means, targets);
             }
             Density::Table { index } => {
-                let table = &self.tables[index as usize];
-                let n = targets.len() as f64;
-                let mut below = 0.0;
-                for (i, target) in targets.iter_mut().enumerate() {
-                    let above = integral(table, (i + 1) as f64 / n);
-                    *target = ((above - below) * n) as f32 + low;
-                    below = above;
+                // The distribution is symmetric, so one half of the targets gives the other.
+                let (n, half) = (targets.len(), targets.len().div_ceil(2));
+                let places = (half + 1).next_multiple_of(PLACES);
+                if integrals.len() < places {
+                    integrals.resize(places, 0.0);
                 }
+                let integrals = &mut integrals[..places];
+                isa.interpolate(&self.tables[index as usize], NODES as f64 / n as f64, integrals);
+                let (front, back) = targets.split_at_mut(half);
+                for (target, ends) in front.iter_mut().zip(integrals.windows(2)) {
+                    *target = ((ends[1] - ends[0]) * n as f64) as f32;
+                }
+                let (_, length) = direction.extent(self.dims);
+                for (target, mirror) in back.iter_mut().rev().zip(&*front) {
+                    *target = (length - mirror) + low;
+                }
+                front.iter_mut().for_each(|target| *target += low);
             }
         }
     }
@@ -198,6 +215,7 @@ mod tests {
     use super::*;
     use crate::draw::{Stream, Use};
     use crate::gradient::reference;
+    use crate::gradient::simd::Plain;
     use proptest::prelude::*;
 
     proptest! {
@@ -225,7 +243,7 @@ mod tests {
                 let direction = set.any(u, &mut stream);
                 let low: f64 = direction.theta.iter().map(|x| f64::from(x.min(0.0))).sum();
                 let mut targets = [0.0; 20];
-                all.fill(&direction, &mut targets);
+                all.fill(Plain, &direction, &mut Vec::new(), &mut targets);
                 for (rank, target) in targets.into_iter().enumerate() {
                     let points = (0..200).map(|k| (rank as f64 + (k as f64 + 0.5) / 200.0) / 20.0);
                     let mean = points.map(|u| all.quantile(&direction, u)).sum::<f64>() / 200.0;
@@ -239,7 +257,7 @@ mod tests {
     fn an_axis_has_equally_spaced_targets() {
         let set = DirectionSet::new(2);
         let mut targets = vec![0.0; 5];
-        Targets::new(&set).fill(&set.axis(1), &mut targets);
+        Targets::new(&set).fill(Plain, &set.axis(1), &mut Vec::new(), &mut targets);
         for (target, expected) in targets.into_iter().zip([0.1, 0.3, 0.5, 0.7, 0.9]) {
             assert!((target - expected).abs() < 1e-6);
         }
@@ -251,10 +269,10 @@ mod tests {
         let targets = Targets::new(&set);
         let mut direction = set.pair(0, 1, 0.2);
         let mut forward = vec![0.0; 7];
-        targets.fill(&direction, &mut forward);
+        targets.fill(Plain, &direction, &mut Vec::new(), &mut forward);
         direction.theta = direction.theta.map(|x| -x);
         let mut backward = vec![0.0; 7];
-        targets.fill(&direction, &mut backward);
+        targets.fill(Plain, &direction, &mut Vec::new(), &mut backward);
         for (a, b) in forward.iter().zip(backward.iter().rev()) {
             assert!((a + b).abs() < 1e-6);
         }
@@ -280,7 +298,7 @@ mod tests {
                 projections.sort_by(f64::total_cmp);
                 let n = 8;
                 let mut found = vec![0.0; n];
-                targets.fill(&direction, &mut found);
+                targets.fill(Plain, &direction, &mut Vec::new(), &mut found);
                 for (target, chunk) in found.iter().zip(projections.chunks(count / n)) {
                     let mean = chunk.iter().sum::<f64>() / chunk.len() as f64;
                     assert!((f64::from(*target) - mean).abs() < 4e-3, "{dims}: {target} {mean}");
@@ -300,7 +318,8 @@ mod tests {
             let mut expected = vec![0.0; n];
             trapezoid(a, b, 0.0, &root_means(9), &mut expected);
             let mut found = vec![0.0; n];
-            targets.fill(&Direction { theta, density: Density::Table { index: 0 } }, &mut found);
+            let direction = Direction { theta, density: Density::Table { index: 0 } };
+            targets.fill(Plain, &direction, &mut Vec::new(), &mut found);
             for (x, y) in found.iter().zip(&expected) {
                 assert!((x - y).abs() < 1e-4, "{n}: {x} {y}");
             }

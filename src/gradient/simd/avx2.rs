@@ -8,7 +8,7 @@
 
 use std::arch::x86_64::*;
 
-use super::{Isa, LANES, SORT_BLOCK, SPARE, Vectorized};
+use super::{Isa, LANES, PLACES, SORT_BLOCK, SPARE, Vectorized, check_places};
 
 /// Proof that the processor has AVX2.
 #[derive(Clone, Copy)]
@@ -64,6 +64,17 @@ impl Isa for Avx2 {
     }
 
     #[inline(always)]
+    fn interpolate(self, table: &[f64], step: f64, out: &mut [f64]) {
+        check_places(table.len(), step, out.len());
+        // SAFETY: an `Avx2` exists, so the processor has the one feature that this needs, and
+        // the check has seen to the sizes that it asks for.
+        #[allow(unsafe_code)]
+        unsafe {
+            interpolate(table, step, out)
+        }
+    }
+
+    #[inline(always)]
     fn prefetch<T>(self, slice: &[T], index: usize) {
         let place = slice.as_ptr().wrapping_add(index).cast::<i8>();
         // SAFETY: a prefetch reads nothing that the program could see, faults at no address, and
@@ -72,6 +83,36 @@ impl Isa for Avx2 {
         unsafe {
             _mm_prefetch::<_MM_HINT_T0>(place)
         }
+    }
+}
+
+/// Looks up places `i · step`.
+///
+/// # Safety
+/// The table has two nodes or more and fewer than 2³¹, and all places are from 0 to 2³¹.
+#[target_feature(enable = "avx2")]
+#[inline]
+#[allow(unsafe_code)]
+unsafe fn interpolate(table: &[f64], step: f64, out: &mut [f64]) {
+    let last = _mm_set1_epi32(table.len() as i32 - 2);
+    let step = _mm256_set1_pd(step);
+    let mut index = _mm256_setr_pd(0.0, 1.0, 2.0, 3.0);
+    let (chunks, _) = out.as_chunks_mut::<PLACES>();
+    for chunk in chunks {
+        let place = _mm256_mul_pd(index, step);
+        // Where the conversion overflows at 2³¹ it gives a negative number; as an unsigned one it
+        // is past the last node, as it should be.
+        let node = _mm_min_epu32(_mm256_cvttpd_epi32(place), last);
+        // SAFETY: nodes are from 0 to len − 2, so they and the ones after them are in the table;
+        // the chunk is four numbers that may be written.
+        unsafe {
+            let a = _mm256_i32gather_pd::<8>(table.as_ptr(), node);
+            let b = _mm256_i32gather_pd::<8>(table.as_ptr().add(1), node);
+            let part = _mm256_sub_pd(place, _mm256_cvtepi32_pd(node));
+            let value = _mm256_add_pd(a, _mm256_mul_pd(_mm256_sub_pd(b, a), part));
+            _mm256_storeu_pd(chunk.as_mut_ptr(), value);
+        }
+        index = _mm256_add_pd(index, _mm256_set1_pd(4.0));
     }
 }
 

@@ -21,6 +21,17 @@ pub const LANES: usize = 8;
 /// Numbers behind the last point that may be touched.
 pub const SPARE: usize = 4;
 
+/// Places that are looked up at a time.
+pub const PLACES: usize = 4;
+
+/// Whether a table and places have the sizes that [`Isa::interpolate`] asks for.
+#[inline(always)]
+fn check_places(nodes: usize, step: f64, places: usize) {
+    let limit = f64::from(i32::MAX);
+    assert!(places.is_multiple_of(PLACES) && (2..i32::MAX as usize).contains(&nodes));
+    assert!(step >= 0.0 && step * places as f64 <= limit, "{places} places {step} apart");
+}
+
 /// What instruction sets do differently.
 pub trait Isa: Copy {
     /// Sorts keys in rising order.
@@ -39,6 +50,14 @@ pub trait Isa: Copy {
     /// Puts planes together to points, the inverse of [`Self::split`], under the same conditions.
     /// What is behind the last point may change.
     fn join(self, planes: &[f32], points: &mut [f32], n: usize, dims: usize);
+
+    /// Linear interpolation in a table: `out[i]` is the value at place `i · step`, where node j of
+    /// the table is at place j. Places past the last node go on along the last line.
+    ///
+    /// # Panics
+    /// If the number of places is no multiple of [`PLACES`], the table has fewer than two or
+    /// 2³¹ nodes or more, or a place is negative or past 2³¹.
+    fn interpolate(self, table: &[f64], step: f64, out: &mut [f64]);
 
     /// Asks for the cache line of an element that will be needed soon; of no effect where there
     /// is none.
@@ -126,6 +145,17 @@ mod tests {
         }
     }
 
+    struct Interpolate<'a>(&'a [f64], f64, &'a mut [f64]);
+
+    impl Vectorized for Interpolate<'_> {
+        type Output = ();
+
+        #[inline(always)]
+        fn run<I: Isa>(self, isa: I) {
+            isa.interpolate(self.0, self.1, self.2);
+        }
+    }
+
     struct Split<'a>(&'a [f32], &'a mut [f32], usize, usize);
 
     impl Vectorized for Split<'_> {
@@ -149,6 +179,24 @@ mod tests {
     }
 
     proptest! {
+        #[test]
+        fn tables_are_looked_up_alike(
+            nodes in prop::collection::vec(-2.0..2.0_f64, 2..50), step in 0.0..3.0_f64,
+            places in 0_usize..9,
+        ) {
+            let mut found = [vec![0.0; places * PLACES], vec![0.0; places * PLACES]];
+            Simd::detect().run(Interpolate(&nodes, step, &mut found[0]));
+            Simd::plain().run(Interpolate(&nodes, step, &mut found[1]));
+            let bits = |x: &[f64]| x.iter().map(|x| x.to_bits()).collect::<Vec<_>>();
+            prop_assert_eq!(bits(&found[0]), bits(&found[1]));
+            for (i, value) in found[0].iter().enumerate() {
+                let place = i as f64 * step;
+                let node = (place.floor() as usize).min(nodes.len() - 2);
+                let slope = nodes[node + 1] - nodes[node];
+                prop_assert!((value - nodes[node] - slope * (place - node as f64)).abs() < 1e-9);
+            }
+        }
+
         #[test]
         fn planes_hold_what_points_hold(blocks in 0_usize..9, dims in 1_usize..17) {
             let n = blocks * LANES;

@@ -1,6 +1,6 @@
 //! The instruction set that every machine has: the plain twin of the others.
 
-use super::{Isa, SORT_BLOCK};
+use super::{Isa, SORT_BLOCK, check_places};
 
 /// No instructions but those that the program was compiled for.
 #[derive(Debug, Clone, Copy)]
@@ -29,6 +29,16 @@ impl Isa for Plain {
             for (i, &x) in planes[k * n..(k + 1) * n].iter().enumerate() {
                 points[i * dims + k] = x;
             }
+        }
+    }
+
+    #[inline(always)]
+    fn interpolate(self, table: &[f64], step: f64, out: &mut [f64]) {
+        check_places(table.len(), step, out.len());
+        for (i, value) in out.iter_mut().enumerate() {
+            let place = i as f64 * step;
+            let node = (place as usize).min(table.len() - 2);
+            *value = table[node] + (table[node + 1] - table[node]) * (place - node as f64);
         }
     }
 
