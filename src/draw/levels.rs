@@ -63,8 +63,7 @@ impl LevelSets {
             let range: f64 = halves.iter().map(|half| half.peak).sum();
             for half in halves {
                 cumulative += weight / total * half.peak / range;
-                let levels: Vec<f64> =
-                    half.taps.iter().map(|tap| tap.weight / half.peak).collect();
+                let levels: Vec<f64> = half.taps.iter().map(|tap| tap.weight / half.peak).collect();
                 let above = |bin: usize| {
                     let threshold = bin as f64 / GUIDES as f64;
                     levels.partition_point(|&level| level > threshold) as u32

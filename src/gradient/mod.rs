@@ -23,7 +23,7 @@ pub use target::Targets;
 
 use crate::draw::{CellDraws, Direction, Draw, Draws};
 use crate::tile::{Block, Cell, Layout, Partition, Placement, Rows, SLACK};
-use memory::{CHUNK, InRows, Memory, Place, Placed};
+use memory::{CHUNK, Memory, Order, Place, Spot};
 use probe::{Probe, Stage};
 use rank::Keys;
 use simd::{Isa, LANES, Simd, Vectorized};
@@ -75,6 +75,7 @@ pub struct Workspace {
     draws: CellDraws,
     /// Runs of a subset that is in no table.
     runs: Vec<Run>,
+    spots: [Vec<Spot>; LOCATED],
     slots: [Slot; STAGES],
     stage: StageScratch,
     /// What a cell sees, in another layout than the tile's.
@@ -283,35 +284,40 @@ fn run<I: Isa, P: Probe>(job: Job<'_, P>, isa: I) -> Objective {
     // Rows and patch both begin with a halo, so what the cell sees of them begins at its place.
     let corner = block.place();
     let start = (place.y - corner.y) * block.line() + (place.x - corner.x) * rows.pixel();
-    let mut memory = InRows {
-        samples: &samples[place.y * rows.line() + place.x * rows.pixel()..],
-        stride: rows.stride(),
-        patch: &mut patch.words[start..],
-        patch_stride: block.stride(),
-        frames,
-        pixel: rows.pixel(),
-    };
+    let (pixel, stride, patch_stride) = (rows.pixel(), rows.stride(), block.stride());
+    let samples = &samples[place.y * rows.line() + place.x * pixel..];
+    let patch = &mut patch.words[start..];
     if gradient.layout == Layout::Rows {
+        let order = Order::Rows { samples: stride, patch: patch_stride, frames };
+        let mut memory = Memory { samples, patch, pixel, order };
         return all_draws(gradient, &mut memory, draws, workspace, isa, probe);
     }
     let size = [reach.left + place.width + reach.right, reach.up + place.height + reach.down];
-    let placement = Placement::new(gradient.layout, [size[0], size[1], frames], rows.pixel());
+    let placement = Placement::new(gradient.layout, [size[0], size[1], frames], pixel);
     let (mut copy, mut sums) = std::mem::take(&mut workspace.placed);
-    copy.resize(placement.words, 0.0);
+    copy.resize(placement.words + CHUNK, 0.0);
     sums.clear();
-    sums.resize(placement.words, 0);
-    memory.visit(size, |tile, _, [x, y, t]| {
-        let to = placement.word(x, y, t);
-        copy[to..to + rows.pixel()].copy_from_slice(tile);
-    });
+    sums.resize(placement.words + CHUNK, 0);
+    // For every pixel that the cell sees: its first word in the rows, the patch, and the copy.
+    let pixels = || {
+        (0..size[1]).flat_map(|y| (0..frames).map(move |t| (y, t))).flat_map(|(y, t)| {
+            let (row, placement) = (y * frames + t, &placement);
+            (0..size[0]).map(move |x| {
+                (row * stride + x * pixel, row * patch_stride + x * pixel, placement.word(x, y, t))
+            })
+        })
+    };
+    for (from, _, to) in pixels() {
+        copy[to..to + pixel].copy_from_slice(&samples[from..from + pixel]);
+    }
     probe.lap(Stage::Gather);
-    let mut placed =
-        Placed { placement: &placement, samples: &copy, patch: &mut sums, pixel: rows.pixel() };
-    let objective = all_draws(gradient, &mut placed, draws, workspace, isa, probe);
-    memory.visit(size, |_, patch, [x, y, t]| {
-        let from = placement.word(x, y, t);
-        patch.iter_mut().zip(&sums[from..]).for_each(|(to, from)| *to += from);
-    });
+    let order = Order::Placed(&placement);
+    let mut memory = Memory { samples: &copy, patch: &mut sums, pixel, order };
+    let objective = all_draws(gradient, &mut memory, draws, workspace, isa, probe);
+    for (_, to, from) in pixels() {
+        let sums = &sums[from..from + pixel];
+        patch[to..to + pixel].iter_mut().zip(sums).for_each(|(to, from)| *to += from);
+    }
     probe.lap(Stage::Scatter);
     workspace.placed = (copy, sums);
     objective
@@ -329,9 +335,9 @@ const OVERLAPPED: usize = 1024;
 /// ranked, and so on. What a stage writes in pieces the next one reads in whole registers, and a
 /// processor can do that at once only if the writing was a while ago.
 #[inline(always)]
-fn all_draws<M: Memory, I: Isa, P: Probe>(
+fn all_draws<I: Isa, P: Probe>(
     gradient: &Gradient,
-    memory: &mut M,
+    memory: &mut Memory<'_>,
     draws: &CellDraws,
     workspace: &mut Workspace,
     isa: I,
@@ -345,28 +351,31 @@ fn all_draws<M: Memory, I: Isa, P: Probe>(
         t: draw.t as usize,
     };
     let directions = |i: usize| &draws.directions[i * per_draw..(i + 1) * per_draw];
-    let Workspace { slots, runs: scratch, stage, .. } = workspace;
+    let Workspace { slots, spots, runs: scratch, stage, .. } = workspace;
     let longest = draws.draws.iter().map(|draw| draw.taps as usize).max().unwrap_or(0);
     let numbers = longest * shape.spp() * shape.dims();
     let lag = usize::from(numbers <= OVERLAPPED);
     let count = draws.draws.len();
     let mut objective = Objective::default();
-    for i in 0..count + (STAGES - 1) * lag {
-        if let Some(next) = draws.draws.get(i + AHEAD) {
-            let runs = gradient.runs.of(next.set as usize, next.taps as usize, scratch);
-            memory.prefetch(isa, place(next), runs);
+    let mut locate = |memory: &Memory<'_>, i: usize, spots: &mut [Vec<Spot>]| {
+        if let Some(draw) = draws.draws.get(i) {
+            let runs = gradient.runs.of(draw.set as usize, draw.taps as usize, scratch);
+            memory.locate(isa, place(draw), runs, &mut spots[i % LOCATED]);
         }
+    };
+    (0..AHEAD).for_each(|i| locate(memory, i, spots));
+    for i in 0..count + (STAGES - 1) * lag {
+        locate(memory, i + AHEAD, spots);
         // The draw in a stage now, if there is one, and its slot.
         let at = |stage: usize| {
             let draw = i.checked_sub(stage * lag).filter(|&draw| draw < count);
             draw.map(|draw| (draw, if lag == 0 { 0 } else { draw % STAGES }))
         };
         if let Some((i, slot)) = at(0) {
-            let draw = &draws.draws[i];
-            let runs = gradient.runs.of(draw.set as usize, draw.taps as usize, scratch);
             let slot = &mut slots[slot];
-            slot.grow(draw.taps as usize * shape.spp(), shape.dims(), per_draw);
-            memory.gather(place(draw), runs, &mut slot.points);
+            let n = draws.draws[i].taps as usize * shape.spp();
+            slot.grow(n, shape.dims(), per_draw);
+            memory.gather(&spots[i % LOCATED], &mut slot.points);
             probe.lap(Stage::Gather);
         }
         if let Some((i, slot)) = at(1) {
@@ -377,9 +386,7 @@ fn all_draws<M: Memory, I: Isa, P: Probe>(
             probe.lap(Stage::Transport);
         }
         if let Some((i, slot)) = at(3) {
-            let draw = &draws.draws[i];
-            let runs = gradient.runs.of(draw.set as usize, draw.taps as usize, scratch);
-            memory.scatter(place(draw), runs, &slots[slot].points);
+            memory.scatter(&spots[i % LOCATED], &slots[slot].points);
             probe.lap(Stage::Scatter);
         }
     }
@@ -388,6 +395,9 @@ fn all_draws<M: Memory, I: Isa, P: Probe>(
 
 /// Draws between asking for samples and gathering them.
 const AHEAD: usize = 1;
+
+/// Draws whose runs are known at a time: those in the stages, and those ahead of them.
+const LOCATED: usize = STAGES + AHEAD;
 
 impl Slot {
     /// Makes room for a subset of `n` samples.
