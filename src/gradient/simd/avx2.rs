@@ -2,7 +2,7 @@
 //! prefetches.
 //!
 //! The sort is a bitonic one (Batcher 1968) without a branch on the keys. Blocks of 64 keys are
-//! sorted in eight registers, as columns first, so that most comparisons are between registers;
+//! sorted in eight registers (and 32 at the end in four), as columns first, so that most comparisons are between registers;
 //! then sorted runs are merged two by two. Every comparator puts the smaller key in front, so
 //! registers behind the last one, which would hold the largest of all keys, need not exist.
 
@@ -261,9 +261,12 @@ fn store(keys: &mut [u32; LANES], vector: __m256i) {
 
 #[target_feature(enable = "avx2")]
 fn sort(vectors: &mut [[u32; LANES]]) {
-    let (blocks, _) = vectors.as_chunks_mut::<LANES>();
+    let (blocks, rest) = vectors.as_chunks_mut::<LANES>();
     for block in blocks {
         sort_block(block);
+    }
+    if let Some(half) = rest.first_chunk_mut::<HALF>() {
+        sort_half(half);
     }
     let mut run = LANES;
     while run < vectors.len() {
@@ -275,6 +278,9 @@ fn sort(vectors: &mut [[u32; LANES]]) {
         run *= 2;
     }
 }
+
+/// Registers of half a block, the least that is sorted.
+const HALF: usize = SORT_BLOCK / LANES;
 
 /// Puts the smaller keys of each lane into the first register.
 #[target_feature(enable = "avx2")]
@@ -308,13 +314,11 @@ fn reverse(vector: __m256i) -> __m256i {
 /// The comparisons between registers that make a bitonic sequence of each lane a rising one.
 #[target_feature(enable = "avx2")]
 #[inline]
-fn finish_columns(v: &mut [__m256i; LANES]) {
+fn finish_columns<const ROWS: usize>(v: &mut [__m256i; ROWS]) {
     for distance in [4, 2, 1] {
-        for i in 0..LANES {
-            if i & distance == 0 {
-                let (low, high) = v.split_at_mut(i + distance);
-                compare(&mut low[i], &mut high[0]);
-            }
+        for i in (0..ROWS).filter(|i| i & distance == 0 && distance < ROWS) {
+            let (low, high) = v.split_at_mut(i + distance);
+            compare(&mut low[i], &mut high[0]);
         }
     }
 }
@@ -323,18 +327,39 @@ fn finish_columns(v: &mut [__m256i; LANES]) {
 /// `MAX` take the larger keys.
 #[target_feature(enable = "avx2")]
 #[inline]
-fn mirror_columns<const MAX: i32>(v: &mut [__m256i; LANES], order: __m256i) {
-    for i in 0..LANES / 2 {
-        let (a, b) = (v[i], v[LANES - 1 - i]);
+fn mirror_columns<const MAX: i32, const ROWS: usize>(v: &mut [__m256i; ROWS], order: __m256i) {
+    for i in 0..ROWS / 2 {
+        let (a, b) = (v[i], v[ROWS - 1 - i]);
         v[i] = exchange::<MAX>(a, _mm256_permutevar8x32_epi32(b, order));
-        v[LANES - 1 - i] = exchange::<MAX>(b, _mm256_permutevar8x32_epi32(a, order));
+        v[ROWS - 1 - i] = exchange::<MAX>(b, _mm256_permutevar8x32_epi32(a, order));
     }
+}
+
+/// Merges eight sorted columns to one sequence, column after column in the order 0 4 1 5 2 6 3 7:
+/// 0 with 4, then 04 with 15 (and 26 with 37), then 0415 with 2637.
+#[target_feature(enable = "avx2")]
+#[inline]
+fn merge_columns<const ROWS: usize>(v: &mut [__m256i; ROWS]) {
+    mirror_columns::<0b1111_0000, ROWS>(v, _mm256_setr_epi32(4, 5, 6, 7, 0, 1, 2, 3));
+    finish_columns(v);
+    mirror_columns::<0b1010_1010, ROWS>(v, _mm256_setr_epi32(5, 4, 7, 6, 1, 0, 3, 2));
+    for vector in v.iter_mut() {
+        *vector = exchange::<0b1111_0000>(*vector, swap_halves(*vector));
+    }
+    finish_columns(v);
+    mirror_columns::<0b1100_1100, ROWS>(v, _mm256_setr_epi32(7, 6, 5, 4, 3, 2, 1, 0));
+    for vector in v.iter_mut() {
+        let pairs = _mm256_shuffle_epi32::<0b10_11_00_01>(*vector);
+        *vector = exchange::<0b1010_1010>(*vector, pairs);
+        *vector = exchange::<0b1111_0000>(*vector, swap_halves(*vector));
+    }
+    finish_columns(v);
 }
 
 /// Sorts 64 keys.
 ///
-/// Each lane is a column of eight keys. Columns are sorted, then merged two by two: 0 with 4,
-/// then 04 with 15 (and 26 with 37), then 0415 with 2637; a transposition puts them in order.
+/// Each lane is a column of eight keys. Columns are sorted, then merged; a transposition puts
+/// them in order.
 #[target_feature(enable = "avx2")]
 fn sort_block(keys: &mut [[u32; LANES]; LANES]) {
     let mut v = [_mm256_setzero_si256(); LANES];
@@ -367,23 +392,29 @@ fn sort_block(keys: &mut [[u32; LANES]; LANES]) {
         let (low, high) = v.split_at_mut(j);
         compare(&mut low[i], &mut high[0]);
     }
-    mirror_columns::<0b1111_0000>(&mut v, _mm256_setr_epi32(4, 5, 6, 7, 0, 1, 2, 3));
-    finish_columns(&mut v);
-    mirror_columns::<0b1010_1010>(&mut v, _mm256_setr_epi32(5, 4, 7, 6, 1, 0, 3, 2));
-    for vector in &mut v {
-        *vector = exchange::<0b1111_0000>(*vector, swap_halves(*vector));
-    }
-    finish_columns(&mut v);
-    mirror_columns::<0b1100_1100>(&mut v, _mm256_setr_epi32(7, 6, 5, 4, 3, 2, 1, 0));
-    for vector in &mut v {
-        let pairs = _mm256_shuffle_epi32::<0b10_11_00_01>(*vector);
-        *vector = exchange::<0b1010_1010>(*vector, pairs);
-        *vector = exchange::<0b1111_0000>(*vector, swap_halves(*vector));
-    }
-    finish_columns(&mut v);
+    merge_columns(&mut v);
     transpose(&mut v);
     for (keys, column) in keys.iter_mut().zip([0, 4, 1, 5, 2, 6, 3, 7]) {
         store(keys, v[column]);
+    }
+}
+
+/// Sorts 32 keys, as four rows of columns.
+#[target_feature(enable = "avx2")]
+fn sort_half(keys: &mut [[u32; LANES]; HALF]) {
+    let mut v = [_mm256_setzero_si256(); HALF];
+    for (vector, keys) in v.iter_mut().zip(&*keys) {
+        *vector = load(keys);
+    }
+    for (i, j) in [(0, 1), (2, 3), (0, 2), (1, 3), (1, 2)] {
+        let (low, high) = v.split_at_mut(j);
+        compare(&mut low[i], &mut high[0]);
+    }
+    merge_columns(&mut v);
+    // Columns 0 and 4, 1 and 5 and so on become registers, in the order of the sequence.
+    let columns = turn(v.map(|row| _mm256_castsi256_ps(row)));
+    for (keys, column) in keys.iter_mut().zip(columns) {
+        store(keys, _mm256_castps_si256(column));
     }
 }
 
@@ -433,20 +464,30 @@ fn merge(pair: &mut [[u32; LANES]], run: usize) {
         }
         distance /= 2;
     }
-    let (blocks, _) = pair.as_chunks_mut::<LANES>();
+    let (blocks, rest) = pair.as_chunks_mut::<LANES>();
     for block in blocks {
-        let mut v = [_mm256_setzero_si256(); LANES];
-        for (vector, keys) in v.iter_mut().zip(&*block) {
-            *vector = load(keys);
-        }
-        finish_columns(&mut v);
-        for (keys, mut vector) in block.iter_mut().zip(v) {
-            vector = exchange::<0b1111_0000>(vector, swap_halves(vector));
-            let twos = _mm256_shuffle_epi32::<0b01_00_11_10>(vector);
-            vector = exchange::<0b1100_1100>(vector, twos);
-            let ones = _mm256_shuffle_epi32::<0b10_11_00_01>(vector);
-            vector = exchange::<0b1010_1010>(vector, ones);
-            store(keys, vector);
-        }
+        finish(block);
+    }
+    if let Some(half) = rest.first_chunk_mut::<HALF>() {
+        finish(half);
+    }
+}
+
+/// Sorts registers that hold a bitonic sequence.
+#[target_feature(enable = "avx2")]
+#[inline]
+fn finish<const ROWS: usize>(block: &mut [[u32; LANES]; ROWS]) {
+    let mut v = [_mm256_setzero_si256(); ROWS];
+    for (vector, keys) in v.iter_mut().zip(&*block) {
+        *vector = load(keys);
+    }
+    finish_columns(&mut v);
+    for (keys, mut vector) in block.iter_mut().zip(v) {
+        vector = exchange::<0b1111_0000>(vector, swap_halves(vector));
+        let twos = _mm256_shuffle_epi32::<0b01_00_11_10>(vector);
+        vector = exchange::<0b1100_1100>(vector, twos);
+        let ones = _mm256_shuffle_epi32::<0b10_11_00_01>(vector);
+        vector = exchange::<0b1010_1010>(vector, ones);
+        store(keys, vector);
     }
 }

@@ -12,8 +12,8 @@ mod plain;
 
 pub use plain::Plain;
 
-/// Keys that [`Isa::sort`] sorts at a time.
-pub const SORT_BLOCK: usize = 64;
+/// [`Isa::sort`] sorts multiples of so many keys.
+pub const SORT_BLOCK: usize = 32;
 
 /// Points that are taken apart or put together at a time.
 pub const LANES: usize = 8;
