@@ -437,9 +437,13 @@ fn rank<I: Isa, P: Probe>(
     let targets = &mut targets[..n];
     let lanes = projections.chunks_exact_mut(padded).zip(wanted.chunks_exact_mut(padded));
     for (direction, (projections, wanted)) in directions.iter().zip(lanes) {
-        projections.fill(0.0);
-        for (plane, theta) in planes.clone().zip(direction.theta) {
-            projections.iter_mut().zip(plane).for_each(|(sum, &x)| *sum += theta * x);
+        for (k, (plane, theta)) in planes.clone().zip(direction.theta).enumerate() {
+            if k == 0 {
+                // Adding 0 turns −0 into +0.
+                projections.iter_mut().zip(plane).for_each(|(sum, &x)| *sum = theta * x + 0.0);
+            } else {
+                projections.iter_mut().zip(plane).for_each(|(sum, &x)| *sum += theta * x);
+            }
         }
         probe.lap(Stage::Project);
         let (low, length) = direction.extent(dims);
@@ -449,7 +453,13 @@ fn rank<I: Isa, P: Probe>(
         for (position, &target) in sorted.positions().zip(&*targets) {
             wanted[position] = target;
         }
-        wanted[n..].copy_from_slice(&projections[n..]);
+        // Lanes behind the last sample want to be where they are. (Whole registers: a loop over
+        // these few lanes would become a call.)
+        let last = padded - LANES;
+        let (wanted, projections) = (&mut wanted[last..padded], &projections[last..padded]);
+        for lane in 0..LANES {
+            wanted[lane] = if last + lane < n { wanted[lane] } else { projections[lane] };
+        }
         probe.lap(Stage::Transport);
     }
 }

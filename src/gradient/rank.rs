@@ -47,16 +47,16 @@ impl Keys {
         let steps = (1_u32 << (BITS - position_bits)) - 32;
         let scale = steps as f32 / length;
         let padded = n.next_multiple_of(SORT_BLOCK);
-        if self.short.len() < padded {
-            self.short.resize(padded, 0);
+        if self.short.len() < padded + SORT_BLOCK {
+            self.short.resize(padded + SORT_BLOCK, 0);
         }
-        let keys = &mut self.short[..padded];
-        let (used, rest) = keys.split_at_mut(n);
-        for (position, (key, &projection)) in used.iter_mut().zip(projections).enumerate() {
+        for (position, (key, &projection)) in self.short.iter_mut().zip(projections).enumerate() {
             let place = ((projection - low) * scale).max(0.0) + MAGIC;
             *key = place.to_bits() << position_bits | position as u32;
         }
-        rest.fill(u32::MAX);
+        // Fewer are needed, but a fixed number takes no call.
+        self.short[n..n + SORT_BLOCK].copy_from_slice(&[u32::MAX; SORT_BLOCK]);
+        let keys = &mut self.short[..padded];
         isa.sort(keys);
         Sorted { keys: &self.short[..n], mask: (1 << position_bits) - 1 }
     }

@@ -87,7 +87,7 @@ fn bytes_stay_what_they_were() {
     let known = [
         "fc6177b94dc5d9aa5094538e2b61f16fc141d655f1aa2662847ce9efab50ac48",
         "c83d29b6e9b3e7dc0dc94fbcc2dc763226b4386995e61c23538577d2b076558b",
-        "cca60e5c5edd325ccd6342566425ceecd3e6099e14f0d63c496d4b3175c4c3ed",
+        "27776d8068bd77fa41f2f5eb7a7d1f22a5fa6fef6227eca9dceac670c130c030",
     ];
     assert_eq!(found, known);
 }
