@@ -70,9 +70,8 @@ fn the_cache_model_agrees_with_cachegrind() {
         return println!("skipped: valgrind is not installed");
     }
     // Tests of this file alone do not build examples; those of the package do.
-    if !example("replay").exists() {
-        return println!("skipped: there is no {}", example("replay").display());
-    }
+    let replay = example("replay");
+    assert!(replay.exists(), "{} is missing: cargo build --examples makes it", replay.display());
     let ((model, [d1, l3]), (again, [d1_again, l2])) = std::thread::scope(|scope| {
         let other = scope.spawn(|| run(L2));
         (run(L3), other.join().unwrap())
