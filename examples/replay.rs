@@ -118,7 +118,7 @@ fn main() -> anyhow::Result<()> {
     let subject = Subject::new(&options, &kernel, 1)?;
     let streams = Streams::new(&subject, Arrangement::Rows, Order::Sorted);
     let draws: Vec<StepDraws> =
-        (0..STEPS).map(|step| StepDraws::new(&subject, step, u64::MAX)).collect();
+        (0..STEPS).map(|step| StepDraws::new(&subject, step, u64::MAX, u64::MAX)).collect();
 
     let mut memory = vec![0; (streams.bytes() / WORD) as usize];
     let mut notes = Vec::with_capacity(BATCH);

@@ -121,19 +121,29 @@ pub struct StepDraws {
 }
 
 impl StepDraws {
-    /// The draws of the first cells of a step: of as many cells as together see `bytes` bytes of
-    /// samples, and of the next one; of all cells if that is more than they see.
-    pub fn new(subject: &Subject, step: u32, bytes: u64) -> Self {
-        let mut left = i64::try_from(bytes).unwrap_or(i64::MAX);
-        let pixel = (subject.rows().pixel() * subject.shape().frames()) as u64 * WORD;
-        let order = subject.blocks().iter().flat_map(|block| block.cells());
-        let some = order.take_while(|&&cell| {
-            let goes_on = left >= 0;
+    /// The draws of the first cells of a step, until these cells together see `seen` bytes of
+    /// samples, or their draws together move `moved` bytes.
+    pub fn new(subject: &Subject, step: u32, seen: u64, moved: u64) -> Self {
+        let pixel = subject.rows().pixel() as u64 * WORD;
+        let frames = subject.shape().frames() as u64;
+        let (mut seeing, mut moving) = (0_u64, 0_u64);
+        let mut cells = Vec::new();
+        for &cell in subject.blocks().iter().flat_map(|block| block.cells()) {
+            if seeing >= seen || moving >= moved {
+                break;
+            }
             let [width, height] = subject.window(cell);
-            left = left.saturating_sub(((width * height) as u64 * pixel) as i64);
-            goes_on
-        });
-        let cells = some.map(|&cell| (cell, subject.cell_draws(step, cell).draws)).collect();
+            seeing += (width * height) as u64 * frames * pixel;
+            let mut draws = subject.cell_draws(step, cell).draws;
+            // Samples are read, their gradient is read and written.
+            let within = draws.iter().take_while(|draw| {
+                let goes_on = moving < moved;
+                moving += 3 * u64::from(draw.taps) * pixel;
+                goes_on
+            });
+            draws.truncate(within.count());
+            cells.push((cell, draws));
+        }
         Self { cells }
     }
 
@@ -604,8 +614,10 @@ impl Listener for Models {
 const ENOUGH: u64 = 12_000;
 /// Most steps that are listened to.
 const MOST_STEPS: u32 = 16;
-/// Most bytes of draws and copies, of all steps of a comparison together.
-const MOST_BYTES: u64 = 1 << 30;
+/// Most bytes that all draws of a comparison move.
+const MOST_MOVED: u64 = 384 << 20;
+/// Most bytes of copies in a comparison.
+const MOST_COPIED: u64 = 2 << 30;
 /// Most bytes of a last cache that is filled over and over again.
 const LARGEST: u64 = 128 << 20;
 
@@ -617,19 +629,19 @@ const LARGEST: u64 = 128 << 20;
 /// # Errors
 /// If there can be no such caches.
 pub fn compare(subject: &Subject, levels: &[CacheLevel; 3]) -> Result<Vec<Behaviour>, CacheError> {
-    let enough = 4 * levels[2].bytes.min(LARGEST);
-    // A cell sees its samples once to copy them, and its gradient three times.
-    let first = StepDraws::new(subject, 0, enough / 2);
-    let mut steps = vec![first];
-    let mut drawn = 0;
-    let mut bytes = 0;
+    let seen = 2 * levels[2].bytes.min(LARGEST);
+    let mut steps = vec![StepDraws::new(subject, 0, seen, MOST_MOVED / 4)];
+    let (mut drawn, mut moved, mut copied) = (0, 0, 0);
     for step in 1..=MOST_STEPS {
-        if drawn >= ENOUGH || bytes > MOST_BYTES {
+        if drawn >= ENOUGH || moved >= MOST_MOVED || copied >= MOST_COPIED {
             break;
         }
-        let draws = StepDraws::new(subject, step, enough / 2);
+        let draws = StepDraws::new(subject, step, seen, MOST_MOVED - moved);
         drawn += draws.len() as u64;
-        bytes += 4 * subject.sizes().window * draws.cells.len() as u64;
+        let taps = draws.cells.iter().flat_map(|(_, draws)| draws).map(|draw| u64::from(draw.taps));
+        moved += 3 * taps.sum::<u64>() * subject.rows().pixel() as u64 * WORD;
+        // Samples there, their gradient cleared and back.
+        copied += 6 * subject.sizes().window * draws.cells.len() as u64;
         steps.push(draws);
     }
     let pairs = Arrangement::ALL.into_iter().flat_map(|a| Order::ALL.map(|order| (a, order)));

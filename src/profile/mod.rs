@@ -17,10 +17,13 @@
 //! a sampling profiler; for that there is `perf`.
 
 pub mod access;
+pub mod advice;
 pub mod cache;
 pub mod counters;
 pub mod machine;
 pub mod measure;
+pub mod picture;
+pub mod report;
 pub mod roofline;
 pub mod spans;
 pub mod stages;

@@ -1,9 +1,11 @@
 //! What each thread did when: the raw material of a trace.
 
+use std::io::{self, Write};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
+use super::trace::Trace;
 use crate::gradient::probe::{Probe, Stage};
 
 /// Something that a thread did.
@@ -121,4 +123,35 @@ impl Probe for SpanProbe {
             self.push(Work::Stage(stage), start);
         }
     }
+}
+
+/// Writes spans as a trace of at most `limit` events, with a track of whole steps and one for
+/// each thread.
+///
+/// # Errors
+/// If it cannot be written.
+pub fn write(
+    out: impl Write,
+    threads: usize,
+    spans: &[Span],
+    steps: &[(Duration, Duration)],
+    limit: u64,
+) -> io::Result<()> {
+    let mut trace = Trace::new(out, "perceptile", limit)?;
+    trace.thread(0, "steps")?;
+    for thread in 0..threads {
+        trace.thread(thread as u32 + 1, &format!("thread {thread}"))?;
+    }
+    for (number, &(start, duration)) in steps.iter().enumerate() {
+        trace.complete(0, &format!("step {number}"), start, duration, &[])?;
+    }
+    for span in spans {
+        let details = match span.work {
+            Work::Stage(_) => Vec::new(),
+            Work::Pull | Work::Update => vec![("step", span.step.into())],
+        };
+        let thread = span.thread as u32 + 1;
+        trace.complete(thread, span.work.name(), span.start, span.duration, &details)?;
+    }
+    trace.finish().map(|_| ())
 }
