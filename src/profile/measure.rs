@@ -104,7 +104,8 @@ pub fn stages(subject: &Subject, simd: Simd, samples: &CellSamples, time: Durati
     let per_step = 1.0 / f64::from(timing.steps);
     let mut table = vec![[0.0; Stage::ALL.len()]; threads];
     let mut clock = vec![0.0; threads];
-    for probe in descent.into_probes() {
+    // A probe that was not lent any more has seen nothing that counts.
+    for probe in descent.into_probes().into_iter().filter(|probe| probe.counted) {
         for (thread, (own, warm)) in probe.probes.iter().zip(&probe.warm).enumerate() {
             let times = own.times();
             for stage in 0..Stage::ALL.len() {

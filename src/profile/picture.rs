@@ -118,23 +118,24 @@ fn roofs(profile: &Profile, area: &DrawingArea<SVGBackend, Shift>) -> Result<(),
         .configure_mesh()
         .x_desc("operations per byte moved")
         .y_desc("Gop/s of all threads")
+        .y_labels(5)
+        .max_light_lines(1)
         .light_line_style(RGBColor(240, 240, 240))
         .label_style(("sans-serif", 13))
         .draw()
         .map_err(erase)?;
-    let stores = [("L1", Store::L1), ("L2", Store::L2), ("memory", Store::Memory)];
-    for (name, store) in stores {
+    let stores = [("L1", Store::L1, 0), ("L2", Store::L2, 90), ("memory", Store::Memory, 170)];
+    for (name, store, grey) in stores {
         let bandwidth = profile.rates.ceiling(store).bandwidth / 1e9;
         let ridge = (compute / bandwidth).clamp(INTENSITY.0, INTENSITY.1);
         let roof = [INTENSITY.0, ridge, INTENSITY.1]
             .map(|intensity| (intensity, compute.min(intensity * bandwidth)));
-        chart.draw_series(LineSeries::new(roof, BLACK.mix(0.6))).map_err(erase)?;
-        // Where the slope enters the picture.
-        let x = (floor / bandwidth * 1.6).max(INTENSITY.0 * 1.15);
-        let place = (x, (x * bandwidth * 1.25).min(compute));
-        let label = format!("{name}, {bandwidth:.0} GB/s");
-        let text = Text::new(label, place, ("sans-serif", 13).into_font());
-        chart.draw_series([text]).map_err(erase)?;
+        let style = RGBColor(grey, grey, grey).stroke_width(2);
+        chart
+            .draw_series(LineSeries::new(roof, style))
+            .map_err(erase)?
+            .label(format!("{name}: {bandwidth:.0} GB/s"))
+            .legend(move |(x, y)| PathElement::new([(x, y), (x + 14, y)], style));
     }
     let font = ("sans-serif", 14).into_font();
     for (name, point, colour) in points {
@@ -143,7 +144,13 @@ fn roofs(profile: &Profile, area: &DrawingArea<SVGBackend, Shift>) -> Result<(),
             + Text::new(name, (8, -7), font.color(&colour));
         chart.draw_series([label]).map_err(erase)?;
     }
-    Ok(())
+    chart
+        .configure_series_labels()
+        .position(SeriesLabelPosition::LowerRight)
+        .background_style(WHITE.mix(0.8))
+        .label_font(("sans-serif", 13))
+        .draw()
+        .map_err(erase)
 }
 
 /// Shares of uses of lines by their distance, with the caches' sizes.
@@ -179,7 +186,11 @@ fn distances(profile: &Profile, area: &DrawingArea<SVGBackend, Shift>) -> Result
         .x_desc("lines used in between")
         .y_desc("% of uses")
         .x_labels(12)
-        .x_label_formatter(&|bin| format!("2^{:.0}", (bin - 1.0).max(0.0)))
+        .x_label_formatter(&|bin| match bin {
+            1.0.. => format!("2^{:.0}", bin - 1.0),
+            _ => "0".into(),
+        })
+        .max_light_lines(1)
         .light_line_style(RGBColor(240, 240, 240))
         .label_style(("sans-serif", 13))
         .draw()
@@ -207,7 +218,7 @@ fn distances(profile: &Profile, area: &DrawingArea<SVGBackend, Shift>) -> Result
     }
     chart
         .configure_series_labels()
-        .position(SeriesLabelPosition::UpperLeft)
+        .position(SeriesLabelPosition::UpperMiddle)
         .background_style(WHITE.mix(0.8))
         .label_font(("sans-serif", 13))
         .draw()

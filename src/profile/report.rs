@@ -238,6 +238,8 @@ fn bound(row: &StageRow) -> String {
     };
     match placement.bound {
         Bound::Compute => "compute".into(),
+        // There is no rate of copying in L3, which lies in between.
+        Bound::Memory if placement.share > 1.0 => format!("{store}, but came from a cache"),
         Bound::Memory => store.into(),
     }
 }
@@ -332,7 +334,12 @@ impl fmt::Display for Profile {
 
         writeln!(
             f,
-            "\n{:7} {:9} {:>7} {:>7} {:>7}  {:>7} {:>7} {:>7}  {:>7} {:>7} {:>7} {:>9}",
+            "\n{:41}  {:<23}  {:<23} {:>9}",
+            "", "misses of the draws in", "misses of copying in", "measured"
+        )?;
+        writeln!(
+            f,
+            "{:7} {:9} {:>7} {:>7} {:>7}  {:>7} {:>7} {:>7}  {:>7} {:>7} {:>7} {:>9}",
             "layout",
             "draws",
             "lines",
