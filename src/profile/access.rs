@@ -516,7 +516,7 @@ pub struct Behaviour {
     pub scatter: Misses,
     /// Misses of copying, for each draw.
     pub copy: Misses,
-    /// How far apart the draws' uses of a line are, in lines of the draws.
+    /// How far apart the draws' uses of a line are, in lines of the draws of the counted steps.
     pub reuse: ReuseHistogram,
     /// Nanoseconds of a step for each draw and thread, where a run can be measured like that.
     pub measured: Option<f64>,

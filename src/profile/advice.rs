@@ -34,6 +34,8 @@ const UPDATE: f64 = 0.3;
 const NEAR: f64 = 0.6;
 /// What a layout has to save to be worth a word.
 const SAVING: f64 = 0.1;
+/// Misses of a draw from which they are worth a word.
+const MISSES: f64 = 0.05;
 
 impl Evidence<'_> {
     fn share(&self, stage: Stage) -> f64 {
@@ -94,10 +96,12 @@ fn misses(evidence: &Evidence<'_>) -> Option<String> {
     // What is missed here and found in the next level.
     let cost = |level: usize| (of[level] - of.get(level + 1).unwrap_or(&0.0)) * LATENCIES[level];
     let level = (0..3).max_by(|&a, &b| cost(a).total_cmp(&cost(b)))?;
+    let taken = format!("gather and scatter take {:.0} % of the time", 100.0 * moving);
+    if of[level] < MISSES {
+        return Some(format!("{taken}; what they need is in the caches near the core."));
+    }
     let begin = format!(
-        "gather and scatter take {:.0} % of the time; they cost L{} misses most, {:.1} a draw, \
-         {} the larger part of them",
-        100.0 * moving,
+        "{taken}; they cost L{} misses most, {:.1} a draw, {} the larger part of them",
         level + 1,
         of[level],
         stage.name()
@@ -105,24 +109,26 @@ fn misses(evidence: &Evidence<'_>) -> Option<String> {
     let others = [Arrangement::Bricks, Arrangement::Curve, Arrangement::Linear];
     let others = others.iter().filter_map(|&other| evidence.behaviour(other, Order::Sorted));
     let best = others.min_by(|a, b| a.misses()[level].total_cmp(&b.misses()[level]))?;
-    let left = best.misses()[level] / of[level].max(f64::MIN_POSITIVE);
-    let measured = match (best.measured, rows.measured) {
-        (Some(best), Some(rows)) => {
-            format!("; measured, a step takes {:.2} times as long", best / rows)
-        }
-        _ => String::new(),
-    };
+    let left = best.misses()[level] / of[level];
     let name = best.arrangement.name();
-    Some(if left < 1.0 - SAVING {
-        let saved = 100.0 * (1.0 - left);
-        format!("{begin}: {name} would save {saved:.0} % of them, copying included{measured}.")
-    } else {
-        format!(
-            "{begin}: no other layout helps, the next one, {name}, has {:.1}, copying \
-             included{measured}.",
+    if left >= 1.0 - SAVING {
+        return Some(format!(
+            "{begin}: no other layout helps, the next one, {name}, has {:.1}, copying included.",
             best.misses()[level]
-        )
-    })
+        ));
+    }
+    let saved = 100.0 * (1.0 - left);
+    let measured = match best.measured.zip(rows.measured) {
+        Some((best, rows)) if best > rows => format!(
+            ", but a measured step takes {:.2} times as long: rows are the better choice",
+            best / rows
+        ),
+        Some((best, rows)) => {
+            format!(", and a measured step takes {:.0} % less time", 100.0 * (1.0 - best / rows))
+        }
+        None => ", which is not measured: a run has no such layout".into(),
+    };
+    Some(format!("{begin}: {name} would save {saved:.0} % of them, copying included{measured}."))
 }
 
 /// What sorting the draws saves.
@@ -134,6 +140,9 @@ fn order(evidence: &Evidence<'_>) -> Option<String> {
         saved(a).total_cmp(&saved(b))
     })?;
     let (sorted, unsorted) = (sorted[level], unsorted[level]);
+    if unsorted < MISSES {
+        return None;
+    }
     Some(if sorted < unsorted * (1.0 - SAVING) {
         format!(
             "doing draws cell by cell saves {:.0} % of the L{} misses of a draw ({unsorted:.1} \
@@ -253,7 +262,12 @@ mod tests {
             scatter: misses,
             copy: [0.0; 3],
             reuse: ReuseHistogram::default(),
-            measured: (arrangement == Arrangement::Bricks).then_some(500.0),
+            measured: match arrangement {
+                Arrangement::Rows => Some(400.0),
+                Arrangement::Bricks => Some(500.0),
+                Arrangement::Curve => Some(300.0),
+                Arrangement::Linear => None,
+            },
         }
     }
 
@@ -283,13 +297,30 @@ mod tests {
     fn a_layout_is_advised_if_it_saves_the_misses_that_cost() {
         let shares = [0.0, 0.3, 0.1, 0.1, 0.1, 0.3, 0.05, 0.05, 0.0];
         let rows = behaviour(Arrangement::Rows, Order::Sorted, [10.0, 8.0, 0.0]);
-        let bricks = behaviour(Arrangement::Bricks, Order::Sorted, [9.0, 4.0, 0.0]);
-        let text = say(&stages(shares, 0.2), &[rows.clone(), bricks], &SIZES);
+        let with = |arrangement, misses| {
+            let other = behaviour(arrangement, Order::Sorted, misses);
+            say(&stages(shares, 0.2), &[rows.clone(), other], &SIZES)
+        };
+        let text = with(Arrangement::Bricks, [9.0, 4.0, 0.0]);
         assert!(text.contains("L2 misses most, 8.0 a draw, scatter the larger part"), "{text}");
-        assert!(text.contains("bricks would save 50 %"), "{text}");
-        let curve = behaviour(Arrangement::Curve, Order::Sorted, [9.0, 9.0, 0.0]);
-        let text = say(&stages(shares, 0.2), &[rows, curve], &SIZES);
+        assert!(text.contains("bricks would save 50 %") && text.contains("1.25 times"), "{text}");
+        let text = with(Arrangement::Curve, [9.0, 2.0, 0.0]);
+        assert!(text.contains("curve would save 75 %") && text.contains("25 % less"), "{text}");
+        let text = with(Arrangement::Linear, [9.0, 2.0, 0.0]);
+        assert!(text.contains("linear would save 75 %") && text.contains("not measured"), "{text}");
+        let text = with(Arrangement::Curve, [9.0, 9.0, 0.0]);
         assert!(text.contains("no other layout helps, the next one, curve, has 9.0"), "{text}");
+    }
+
+    #[test]
+    fn what_is_not_missed_needs_no_advice() {
+        let rows = behaviour(Arrangement::Rows, Order::Sorted, [0.0; 3]);
+        let unsorted = behaviour(Arrangement::Rows, Order::Unsorted, [0.0; 3]);
+        let text = say(&stages([0.1; 9], 0.2), &[rows, unsorted], &SIZES);
+        assert!(
+            text.contains("is in the caches near the core") && !text.contains("order"),
+            "{text}"
+        );
     }
 
     #[test]

@@ -108,11 +108,11 @@ pub fn stages(subject: &Subject, simd: Simd, samples: &CellSamples, time: Durati
     for probe in descent.into_probes().into_iter().filter(|probe| probe.counted) {
         for (thread, (own, warm)) in probe.probes.iter().zip(&probe.warm).enumerate() {
             let times = own.times();
-            for stage in 0..Stage::ALL.len() {
+            for (stage, sum) in table[thread].iter_mut().enumerate() {
                 let took = (times.nanoseconds[stage] - warm.nanoseconds[stage]) as f64;
                 let looks = (times.passed[stage] - warm.passed[stage]) as f64;
                 let looking = (looks * look).min(took);
-                table[thread][stage] += (took - looking) * per_step;
+                *sum += (took - looking) * per_step;
                 clock[thread] += looking * per_step;
             }
         }
