@@ -19,6 +19,8 @@ pub struct Evidence<'a> {
     pub caches: [u64; 3],
     /// Threads of the run.
     pub threads: usize,
+    /// Blocks that they share.
+    pub blocks: usize,
     /// Draws of a step.
     pub draws: usize,
 }
@@ -205,15 +207,20 @@ fn update(evidence: &Evidence<'_>) -> Option<String> {
 /// Whether threads have nothing to do.
 fn waiting(evidence: &Evidence<'_>) -> Option<String> {
     let share = evidence.share(Stage::Waiting);
-    (share > WAITING).then(|| {
-        format!(
-            "the {} threads wait {:.0} % of the time: for each other, for a processor that others \
-             use, or for what one of them does alone; more draws a step or fewer threads leave \
-             less of that.",
-            evidence.threads,
-            100.0 * share
-        )
-    })
+    let Evidence { threads, blocks, .. } = *evidence;
+    let begin = format!("the {threads} threads wait {:.0} % of the time", 100.0 * share);
+    if share <= WAITING {
+        None
+    } else if blocks < threads {
+        Some(format!(
+            "{begin}: the tile has {blocks} blocks for them, so {blocks} threads would do as well."
+        ))
+    } else {
+        Some(format!(
+            "{begin}: for each other, for a processor that others use, or for what one of them \
+             does alone; more draws a step or fewer threads leave less of that."
+        ))
+    }
 }
 
 #[cfg(test)]
@@ -273,7 +280,8 @@ mod tests {
 
     fn say(stages: &[StageRow], layouts: &[Behaviour], sizes: &Sizes) -> String {
         let caches = [32 << 10, 1 << 20, 32 << 20];
-        let evidence = Evidence { stages, layouts, sizes, caches, threads: 2, draws: 100 };
+        let evidence =
+            Evidence { stages, layouts, sizes, caches, threads: 2, blocks: 8, draws: 100 };
         advice(&evidence).join("\n")
     }
 
@@ -291,6 +299,7 @@ mod tests {
     fn waiting_is_not_work() {
         let text = say(&stages([0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.9], 0.2), &[], &SIZES);
         assert!(text.contains("draws takes most") && text.contains("wait 90 %"), "{text}");
+        assert!(!text.contains("blocks"), "{text}");
     }
 
     #[test]

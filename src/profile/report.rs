@@ -177,6 +177,7 @@ impl Profile {
             sizes: &sizes,
             caches: levels.map(|level| level.bytes),
             threads: subject.threads(),
+            blocks: subject.blocks().len(),
             draws,
         });
         Ok(Self {
