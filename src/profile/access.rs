@@ -615,9 +615,9 @@ const ENOUGH: u64 = 12_000;
 /// Most steps that are listened to.
 const MOST_STEPS: u32 = 16;
 /// Most bytes that all draws of a comparison move.
-const MOST_MOVED: u64 = 384 << 20;
+const MOST_MOVED: u64 = 192 << 20;
 /// Most bytes of copies in a comparison.
-const MOST_COPIED: u64 = 2 << 30;
+const MOST_COPIED: u64 = 1 << 30;
 /// Most bytes of a last cache that is filled over and over again.
 const LARGEST: u64 = 128 << 20;
 
@@ -630,7 +630,7 @@ const LARGEST: u64 = 128 << 20;
 /// If there can be no such caches.
 pub fn compare(subject: &Subject, levels: &[CacheLevel; 3]) -> Result<Vec<Behaviour>, CacheError> {
     let seen = 2 * levels[2].bytes.min(LARGEST);
-    let mut steps = vec![StepDraws::new(subject, 0, seen, MOST_MOVED / 4)];
+    let mut steps = vec![StepDraws::new(subject, 0, seen, MOST_MOVED / 2)];
     let (mut drawn, mut moved, mut copied) = (0, 0, 0);
     for step in 1..=MOST_STEPS {
         if drawn >= ENOUGH || moved >= MOST_MOVED || copied >= MOST_COPIED {

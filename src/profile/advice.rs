@@ -75,7 +75,12 @@ fn longest(row: &StageRow) -> String {
         (Bound::Memory, Store::Memory) => "the bandwidth of memory",
     };
     let share = 100.0 * placement.share;
-    if placement.share >= NEAR {
+    if placement.share > 1.0 {
+        format!(
+            "{begin}, and is faster than {roof} allows for copying ({share:.0} % of it): it comes \
+             from a cache, or in streams that suit the memory; only less work helps."
+        )
+    } else if placement.share >= NEAR {
         format!("{begin}, and is bound by {roof} ({share:.0} % of it): only less work helps.")
     } else {
         format!(
@@ -208,13 +213,11 @@ fn update(evidence: &Evidence<'_>) -> Option<String> {
 fn waiting(evidence: &Evidence<'_>) -> Option<String> {
     let share = evidence.share(Stage::Waiting);
     let Evidence { threads, blocks, .. } = *evidence;
-    let begin = format!("the {threads} threads wait {:.0} % of the time", 100.0 * share);
+    let begin = format!("threads wait {:.0} % of the time", 100.0 * share);
     if share <= WAITING {
         None
     } else if blocks < threads {
-        Some(format!(
-            "{begin}: the tile has {blocks} blocks for them, so {blocks} threads would do as well."
-        ))
+        Some(format!("{begin}: the tile has blocks for {blocks} of them, but there are {threads}."))
     } else {
         Some(format!(
             "{begin}: for each other, for a processor that others use, or for what one of them \
@@ -293,6 +296,8 @@ mod tests {
         let near = say(&stages(shares, 0.9), &[], &SIZES);
         assert!(near.contains("bound by the rate of operations (90 % of it)"), "{near}");
         assert!(!near.contains("wait") && !near.contains("outgrow"), "{near}");
+        let above = say(&stages(shares, 2.0), &[], &SIZES);
+        assert!(above.contains("allows for copying (200 % of it)"), "{above}");
     }
 
     #[test]
@@ -300,6 +305,13 @@ mod tests {
         let text = say(&stages([0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.9], 0.2), &[], &SIZES);
         assert!(text.contains("draws takes most") && text.contains("wait 90 %"), "{text}");
         assert!(!text.contains("blocks"), "{text}");
+        let rows = stages([0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.5], 0.2);
+        let caches = [1; 3];
+        let (stages, layouts, sizes) = (&rows[..], &[][..], &SIZES);
+        let evidence =
+            Evidence { stages, layouts, sizes, caches, threads: 8, blocks: 3, draws: 100 };
+        let text = advice(&evidence).join("\n");
+        assert!(text.contains("blocks for 3 of them, but there are 8"), "{text}");
     }
 
     #[test]

@@ -67,7 +67,7 @@ fn erase<E: std::error::Error + Send + Sync>(error: DrawingAreaErrorKind<E>) -> 
 /// The shares of the stages as one bar, with a legend.
 fn stages(profile: &Profile, area: &DrawingArea<SVGBackend, Shift>) -> Result<(), Error> {
     let title = format!(
-        "{}, {} draws a step: {:.3} ms, {} threads",
+        "{}, {} draws a step: {:.3} ms, threads: {}",
         profile.shape,
         profile.draws,
         profile.whole.seconds * 1e3,
@@ -218,7 +218,7 @@ fn distances(profile: &Profile, area: &DrawingArea<SVGBackend, Shift>) -> Result
     }
     chart
         .configure_series_labels()
-        .position(SeriesLabelPosition::UpperMiddle)
+        .position(SeriesLabelPosition::Coordinate(130, 6))
         .background_style(WHITE.mix(0.8))
         .label_font(("sans-serif", 13))
         .draw()

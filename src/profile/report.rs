@@ -239,8 +239,8 @@ fn bound(row: &StageRow) -> String {
     };
     match placement.bound {
         Bound::Compute => "compute".into(),
-        // There is no rate of copying in L3, which lies in between.
-        Bound::Memory if placement.share > 1.0 => format!("{store}, but came from a cache"),
+        // From L3, whose rate is not measured, or in streams that suit the memory better.
+        Bound::Memory if placement.share > 1.0 => format!("{store}, faster than copying there"),
         Bound::Memory => store.into(),
     }
 }
@@ -269,7 +269,7 @@ impl fmt::Display for Profile {
         writeln!(
             f,
             "rates     copying {:.0} GB/s in L1, {:.0} in L2, {:.1} in memory; {:.0} Gop/s \
-             ({} threads, {})",
+             (threads: {}, {})",
             rates.l1.rate / 1e9,
             rates.l2.rate / 1e9,
             rates.memory.rate / 1e9,
