@@ -1,4 +1,4 @@
-//! Plays a stream of accesses to a cache model and to real memory, where cachegrind can watch.
+//! Plays the accesses of a descent to a cache model and to real memory, where cachegrind can watch.
 //!
 //! ```text
 //! cargo build --release --example replay
@@ -6,134 +6,84 @@
 //!     target/release/examples/replay 32768,8,64 262144,8,64 786432,12,64
 //! ```
 //!
-//! The arguments are the levels of the model: bytes, ways and bytes of a line of each. It prints
-//! what the model counts, as JSON; cachegrind's counts are those of the function `replay::replay`.
-//! A second run with the second level as `--LL` gives those of that level, as cachegrind has
-//! only two.
+//! The accesses are those of the draws of the paper's kernel, as a run does them, on a tile whose
+//! cells outgrow the first of these caches, whose blocks the second, and which itself outgrows
+//! the third. The arguments are the levels of the model: bytes, ways and bytes of a line of each.
+//! It prints what the model counts, as JSON; cachegrind's counts are those of the function
+//! `replay::replay`. A second run with the second level as `--LL` gives those of that level, as
+//! cachegrind has only two.
 
 use std::hint::black_box;
 
 use anyhow::{Context, bail};
+use perceptile::profile::access::{self, Arrangement, Listener, Order, StepDraws, Streams};
 use perceptile::profile::cache::{CacheLevel, Hierarchy};
+use perceptile::profile::subject::Subject;
+use perceptile::solver::Preset;
+use perceptile::tile::TileShape;
 use serde_json::json;
 
 /// Bytes of a word; all arrays consist of them.
-const WORD: usize = 4;
-/// Words in each array: 4 MiB.
-const WORDS: usize = 1 << 20;
-/// Accesses that are noted at once; 2 KiB, so that the notes themselves stay in the first cache.
+const WORD: u64 = 4;
+/// Accesses that are noted at once; 3 KiB, so that the notes themselves stay in the first cache.
 const BATCH: usize = 256;
+/// Draws of a step; many, so that not all misses are those of the update.
+const DRAWS: usize = 16_384;
+/// Steps that are played.
+const STEPS: u32 = 2;
 
-/// The arrays: what draws read and change, and three more that only the update touches.
-const SAMPLES: u8 = 0;
-const GRADIENT: u8 = 1;
-const MOMENTS: [u8; 2] = [2, 3];
-const OTHER_SAMPLES: u8 = 4;
-const ARRAYS: usize = 5;
-
-/// One access of a stream.
+/// One access.
 #[derive(Debug, Clone, Copy)]
-struct Access {
-    /// First word in the array.
+struct Note {
+    /// First word.
     offset: u32,
     /// Number of words.
-    words: u16,
-    array: u8,
+    words: u32,
     write: bool,
 }
 
-/// Steps of a descent in miniature: draws scattered over one block of the samples after the
-/// other, then an update that goes through all arrays.
-fn stream(emit: &mut impl FnMut(Access)) {
-    const STEPS: usize = 1;
-    /// Points of two words in a row of a block, rows in a frame of it, frames, and all its words.
-    const ROW: usize = 64;
-    const ROWS: usize = 32;
-    const FRAMES: usize = 32;
-    const BLOCK: usize = ROW * ROWS * FRAMES * 2;
-    const DRAWS: usize = 5000;
-    /// Words of a line of the update.
-    const RUN: usize = 16;
+/// Notes accesses, and gives them on in batches in a place that stays the same.
+struct Batches<'a, F> {
+    notes: &'a mut Vec<Note>,
+    batch: F,
+}
 
-    let mut random = Random(1);
-    for _ in 0..STEPS {
-        for block in (0..WORDS).step_by(BLOCK) {
-            for _ in 0..DRAWS {
-                // A subset like that of a spatial kernel over the last frames.
-                let radius = 1 + random.below(3);
-                let (x, y) = (random.below(ROW - 7), random.below(ROWS - 7));
-                let frame = random.below(FRAMES);
-                let depth = 1 + random.below(4);
-                let rows = || {
-                    let row = move |row: usize| {
-                        let narrow = radius.abs_diff(row);
-                        let left = x + 3 - radius + narrow / 2;
-                        let points = (2 * radius + 1).saturating_sub(narrow).max(1);
-                        (row, left, points)
-                    };
-                    let frames = move |back| (frame + FRAMES - back) % FRAMES;
-                    (0..depth).flat_map(move |back| {
-                        (0..2 * radius + 1).map(row).map(move |(row, left, points)| {
-                            let place = (frames(back) * ROWS + y + row) * ROW + left;
-                            ((block + 2 * place) as u32, 2 * points as u16)
-                        })
-                    })
-                };
-                for (offset, words) in rows() {
-                    emit(Access { offset, words, array: SAMPLES, write: false });
-                }
-                for (offset, words) in rows() {
-                    for write in [false, true] {
-                        emit(Access { offset, words, array: GRADIENT, write });
-                    }
-                }
-            }
-        }
-        for offset in (0..WORDS as u32).step_by(RUN) {
-            let mut access =
-                |array, write| emit(Access { offset, words: RUN as u16, array, write });
-            for array in [GRADIENT, MOMENTS[0], MOMENTS[1]] {
-                access(array, false);
-                access(array, true);
-            }
-            // The new samples replace others, which nobody reads.
-            access(SAMPLES, false);
-            access(OTHER_SAMPLES, true);
+impl<F: FnMut(&[Note])> Listener for Batches<'_, F> {
+    fn access(&mut self, access: access::Access) {
+        let offset = (access.address / WORD) as u32;
+        let words = access.touched / WORD as u32;
+        self.notes.push(Note { offset, words, write: access.write });
+        if self.notes.len() == BATCH {
+            (self.batch)(self.notes);
+            self.notes.clear();
         }
     }
 }
 
-/// A linear congruential generator, of which the high bits are used (Knuth's MMIX).
-struct Random(u64);
-
-impl Random {
-    fn below(&mut self, n: usize) -> usize {
-        self.0 = self.0.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-        ((self.0 >> 33) as usize * n) >> 31
-    }
-}
-
-/// Calls `batch` with all accesses of the stream, in a place that stays the same.
-fn batches(notes: &mut Vec<Access>, mut batch: impl FnMut(&[Access])) {
+/// Calls `batch` with all accesses.
+fn batches(
+    streams: &Streams,
+    draws: &[StepDraws],
+    notes: &mut Vec<Note>,
+    batch: impl FnMut(&[Note]),
+) {
     notes.clear();
-    stream(&mut |access| {
-        notes.push(access);
-        if notes.len() == BATCH {
-            batch(notes);
-            notes.clear();
-        }
-    });
-    batch(notes);
+    let mut batches = Batches { notes, batch };
+    for draws in draws {
+        streams.draws(draws, &mut batches);
+        streams.update(u64::MAX, &mut batches);
+    }
+    (batches.batch)(batches.notes);
 }
 
 /// Does the accesses. Not inlined, so that cachegrind tells what they miss.
 #[inline(never)]
-fn replay(notes: &[Access], arrays: &mut [Vec<u32>; ARRAYS]) -> u32 {
+fn replay(notes: &[Note], memory: &mut [u32]) -> u32 {
     let mut sum = 0_u32;
-    for access in notes {
-        let first = access.offset as usize;
-        let words = &mut arrays[access.array as usize][first..first + access.words as usize];
-        if access.write {
+    for note in notes {
+        let first = note.offset as usize;
+        let words = &mut memory[first..first + note.words as usize];
+        if note.write {
             words.fill(sum);
         } else {
             sum = words.iter().fold(sum, |sum, &word| sum.wrapping_add(word | 1));
@@ -161,22 +111,32 @@ fn main() -> anyhow::Result<()> {
         .map(|(i, text)| level(i, &text))
         .collect::<Result<_, _>>()?;
     let mut caches = Hierarchy::new(&levels).context("usage: replay BYTES,WAYS,LINE...")?;
-    let mut arrays: [Vec<u32>; ARRAYS] = std::array::from_fn(|_| vec![0; WORDS]);
+    let mut options = Preset::Paper.options();
+    options.shape = TileShape::new(64, 64, 32, 1, 2)?;
+    options.draw.draws = DRAWS;
+    let kernel = options.kernel.resolve(options.shape)?;
+    let subject = Subject::new(&options, &kernel, 1)?;
+    let streams = Streams::new(&subject, Arrangement::Rows, Order::Sorted);
+    let draws: Vec<StepDraws> =
+        (0..STEPS).map(|step| StepDraws::new(&subject, step, u64::MAX, u64::MAX)).collect();
+
+    let mut memory = vec![0; (streams.bytes() / WORD) as usize];
     let mut notes = Vec::with_capacity(BATCH);
     let mut sum = 0_u32;
-    batches(&mut notes, |notes| sum = sum.wrapping_add(replay(notes, &mut arrays)));
+    batches(&streams, &draws, &mut notes, |notes| {
+        sum = sum.wrapping_add(replay(notes, &mut memory))
+    });
     black_box(sum);
 
     let begun = std::time::Instant::now();
     let mut accesses = 0_u64;
-    batches(&mut notes, |notes| {
+    batches(&streams, &draws, &mut notes, |notes| {
         accesses += notes.len() as u64;
-        for access in notes {
-            let note = std::ptr::from_ref(access) as u64;
-            caches.access(note, size_of::<Access>() as u32, false);
-            let word = &arrays[access.array as usize][access.offset as usize];
-            let bytes = u32::from(access.words) * WORD as u32;
-            caches.access(std::ptr::from_ref(word) as u64, bytes, access.write);
+        for note in notes {
+            let itself = std::ptr::from_ref(note) as u64;
+            caches.access(itself, size_of::<Note>() as u32, false);
+            let word = std::ptr::from_ref(&memory[note.offset as usize]) as u64;
+            caches.access(word, note.words * WORD as u32, note.write);
         }
     });
     let levels: Vec<_> = caches

@@ -6,6 +6,7 @@ mod evaluate;
 mod export;
 mod kernel;
 mod optimize;
+mod profile;
 mod settings;
 mod source;
 
@@ -39,6 +40,7 @@ enum Command {
     Evaluate(evaluate::EvaluateArgs),
     Kernel(kernel::KernelArgs),
     Export(export::ExportArgs),
+    Profile(Box<profile::ProfileArgs>),
 }
 
 /// Something is wrong with what was asked for, rather than with the machine.
@@ -53,6 +55,7 @@ pub fn main() -> ExitCode {
         Command::Evaluate(args) => evaluate::run(args).map(|()| ExitCode::SUCCESS),
         Command::Kernel(args) => kernel::run(args).map(|()| ExitCode::SUCCESS),
         Command::Export(args) => export::run(args).map(|()| ExitCode::SUCCESS),
+        Command::Profile(args) => profile::run(*args).map(|()| ExitCode::SUCCESS),
     };
     result.unwrap_or_else(|error| {
         eprintln!("error: {error:#}");

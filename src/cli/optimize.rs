@@ -77,11 +77,33 @@ const MAX_THREADS: usize = 1024;
 
 /// What `--simd` offers.
 #[derive(Debug, Clone, Copy, ValueEnum)]
-enum SimdChoice {
+pub enum SimdChoice {
     /// The best that the machine has
     Auto,
     /// None
     Plain,
+}
+
+impl SimdChoice {
+    /// What is chosen on this machine.
+    pub fn simd(self) -> Simd {
+        match self {
+            Self::Auto => Simd::detect(),
+            Self::Plain => Simd::plain(),
+        }
+    }
+}
+
+/// The number of threads that `--threads` asks for.
+///
+/// # Errors
+/// If it is too large.
+pub fn threads(asked: usize) -> Result<usize, Misuse> {
+    match asked {
+        0 => Ok(std::thread::available_parallelism().map_or(1, usize::from)),
+        1..=MAX_THREADS => Ok(asked),
+        _ => Err(Misuse(format!("{asked} threads are too many: at most {MAX_THREADS}"))),
+    }
 }
 
 /// Makes the tile.
@@ -101,14 +123,7 @@ pub fn run(args: OptimizeArgs) -> anyhow::Result<ExitCode> {
     if args.integrands > 0 {
         score_options.validate()?;
     }
-    if args.threads > MAX_THREADS {
-        let message = format!("{} threads are too many: at most {MAX_THREADS}", args.threads);
-        return Err(Misuse(message).into());
-    }
-    let threads = match args.threads {
-        0 => std::thread::available_parallelism().map_or(1, usize::from),
-        threads => threads,
-    };
+    let threads = threads(args.threads)?;
     memory::check(&options, &kernel, threads)?;
     if args.dry_run {
         print(&plan(&options, &kernel, threads))?;
@@ -118,10 +133,7 @@ pub fn run(args: OptimizeArgs) -> anyhow::Result<ExitCode> {
     let outputs = Outputs::of(&args.out);
     outputs.probe(existing)?;
     let start = start.map(|path| TileSource::new(path).read()).transpose()?;
-    let simd = match args.simd {
-        SimdChoice::Auto => Simd::detect(),
-        SimdChoice::Plain => Simd::plain(),
-    };
+    let simd = args.simd.simd();
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(threads)
         .build()
@@ -287,7 +299,7 @@ fn report(
 }
 
 /// Reads the number of worker processes.
-fn parse_workers(text: &str) -> Result<u32, String> {
+pub fn parse_workers(text: &str) -> Result<u32, String> {
     match text.parse() {
         Ok(0) => Ok(0),
         _ => {

@@ -1,19 +1,32 @@
 //! Where the time and the memory traffic of a run go.
 //!
 //! ```text
-//!  stages: time of each stage of a step
-//!  machine: caches, cores ──► cache: misses of an access stream, model
-//!            │                counters: misses as the processor counts them, if it does
-//!            └──────────────► roofline: what this machine could do at best
-//!                             trace: who did what when, for a viewer
+//!  subject: the descent of a run, taken apart
+//!    ├─► measure: time of its steps ◄── stages, spans: what listens to the stages
+//!    ├─► traffic: samples, bytes and operations of each stage
+//!    └─► access: addresses, in several layouts and orders ──► cache: misses, a model
+//!  machine: its caches and cores ──► roofline: what it could do at best
+//!  counters: misses as the processor counts them, if it does
+//!        all of it ──► report: the profile, a table ──► advice: what to do about it
+//!                                                   ──► picture: an SVG
+//!                      trace: who did what when, for a viewer
 //! ```
 //!
-//! Nothing here knows of tiles or draws: accesses come as addresses, work as numbers of
-//! operations, bytes and seconds. It is not a sampling profiler; for that there is `perf`.
+//! The tools (`cache`, `counters`, `machine`, `roofline`, `trace`) know nothing of tiles or
+//! draws: accesses come as addresses, work as numbers of operations, bytes and seconds. It is not
+//! a sampling profiler; for that there is `perf`.
 
+pub mod access;
+pub mod advice;
 pub mod cache;
 pub mod counters;
 pub mod machine;
+pub mod measure;
+pub mod picture;
+pub mod report;
 pub mod roofline;
+pub mod spans;
 pub mod stages;
+pub mod subject;
 pub mod trace;
+pub mod traffic;

@@ -599,3 +599,158 @@ proptest! {
         prop_assert!(!error.contains("panicked"), "{args:?}: {error}");
     }
 }
+
+/// A profile that takes as little time as one can.
+const PROFILE: &[&str] = &[
+    "profile",
+    "--tile",
+    "24x20x4",
+    "--kernel",
+    "gaussian(1) * ema(0.5) @ 3x3x4",
+    "--draws",
+    "64",
+    "--threads",
+    "2",
+    "--measure",
+    "0.05",
+];
+
+const STAGES: [&str; 9] =
+    ["draws", "gather", "project", "rank", "transport", "scatter", "reduce", "adam", "waiting"];
+
+#[test]
+fn a_profile_shows_all_stages_layouts_and_counters() {
+    let folder = Folder::new();
+    let table = folder.succeed(PROFILE);
+    for stage in STAGES {
+        let shown = |line: &&str| line.starts_with(&format!("{stage} "));
+        assert!(table.lines().any(|line| shown(&line)), "no {stage} in {table}");
+    }
+    for layout in ["linear", "rows", "bricks", "curve"] {
+        for order in ["sorted", "unsorted"] {
+            let shown = |line: &str| line.split_whitespace().take(2).eq([layout, order]);
+            assert!(table.lines().any(shown), "no {layout}, {order} in {table}");
+        }
+    }
+    for words in ["cycles", "TLB read misses", "advice\n- ", "reuse of lines", "takes most"] {
+        assert!(table.contains(words), "no {words:?} in {table}");
+    }
+    // It makes no tile.
+    assert!(folder.names().is_empty());
+}
+
+#[test]
+fn a_profile_as_json_adds_up() {
+    let folder = Folder::new();
+    let text = folder.succeed(&[PROFILE, &["--json"]].concat());
+    let profile: Value = serde_json::from_str(&text).unwrap();
+    let number = |value: &Value| value.as_f64().unwrap_or_else(|| panic!("{value}"));
+    let sum = |value: &Value| value.as_array().unwrap().iter().map(number).sum::<f64>();
+    assert_eq!(profile["format"], 1);
+    let stages = profile["stages"].as_array().unwrap();
+    assert!(stages.iter().map(|row| row["stage"].as_str().unwrap()).eq(STAGES));
+
+    // Stages, waiting and the clock are all the time of both threads.
+    let probed = &profile["probed"];
+    let wall = 2.0 * 1e9 * number(&probed["timing"]["seconds"]);
+    let all = stages.iter().map(|row| number(&row["nanoseconds"])).sum::<f64>();
+    let clock = sum(&probed["clock"]);
+    assert!((all + clock - wall).abs() < 0.01 * wall, "{all} + {clock}, not {wall}");
+    let threads = probed["threads"].as_array().unwrap();
+    assert_eq!(threads.len(), 2);
+    assert!((threads.iter().map(sum).sum::<f64>() - all).abs() < 1e-6 * all);
+    let shares = stages.iter().map(|row| number(&row["share"])).sum::<f64>();
+    assert!((shares - 1.0).abs() < 1e-9);
+
+    let subsets = &profile["subsets"];
+    let samples = number(&subsets["samples"]) * 64.0;
+    assert!((number(&stages[1]["samples"]) - samples).abs() < 1e-6 * samples);
+    assert!((number(&stages[1]["read"]) - 8.0 * samples).abs() < 1e-6 * samples);
+    let layouts = profile["layouts"].as_array().unwrap();
+    assert_eq!(layouts.len(), 8);
+    assert!(layouts.iter().all(|row| number(&row["ratio"]) >= 1.0));
+    assert_eq!(layouts.iter().filter(|row| row["measured"].is_number()).count(), 3);
+    for counter in profile["counters"].as_array().unwrap() {
+        let reading = &counter["reading"];
+        let told = reading["count"]["events"].is_u64();
+        assert!(told || !reading["unavailable"]["reason"].as_str().unwrap().is_empty());
+        assert_eq!(told, counter["per_draw"].is_number());
+    }
+}
+
+#[test]
+fn a_profile_leaves_a_trace_and_a_picture_and_replaces_nothing() {
+    let folder = Folder::new();
+    let args = [PROFILE, &["--trace", "trace.json", "--svg", "picture.svg"]].concat();
+    folder.succeed(&args);
+    assert_eq!(folder.names(), ["picture.svg", "trace.json"]);
+    let picture = text(&folder.read("picture.svg"));
+    assert!(picture.starts_with("<svg") && picture.trim_end().ends_with("</svg>"));
+    assert!(picture.contains("rank") && picture.contains("unsorted draws"));
+
+    let trace: Value = serde_json::from_slice(&folder.read("trace.json")).unwrap();
+    assert_eq!(trace["otherData"]["dropped"], 0);
+    let events = trace["traceEvents"].as_array().unwrap();
+    let named = |name: &str| -> std::vec::IntoIter<&Value> {
+        let named: Vec<&Value> = events.iter().filter(|event| event["name"] == name).collect();
+        named.into_iter()
+    };
+    let tracks: Vec<&str> =
+        named("thread_name").map(|event| event["args"]["name"].as_str().unwrap()).collect();
+    assert_eq!(tracks, ["steps", "thread 0", "thread 1"]);
+    let ends = |event: &Value| {
+        let start = event["ts"].as_f64().unwrap();
+        (start, start + event["dur"].as_f64().unwrap())
+    };
+    let steps: Vec<(f64, f64)> =
+        (0..12).map(|step| ends(named(&format!("step {step}")).next().unwrap())).collect();
+    assert!(steps.windows(2).all(|pair| pair[0].1 <= pair[1].0));
+    // Each piece of work lies within its step, and stages within a piece of their thread.
+    let mut pieces = Vec::new();
+    for event in named("pull").chain(named("update")) {
+        let (begin, end) = steps[event["args"]["step"].as_u64().unwrap() as usize];
+        let (from, to) = ends(event);
+        assert!(begin <= from && to <= end + 1e-3, "{event}");
+        pieces.push((&event["tid"], from, to));
+    }
+    // Four cells (at most as many blocks), 20 lines, in each of the steps.
+    assert!(named("pull").count() <= 48 && named("update").count() == 12 * 20);
+    for stage in &STAGES[..8] {
+        assert!(named(stage).count() > 0, "no {stage}");
+        for event in named(stage) {
+            let (from, to) = ends(event);
+            let within = |&(tid, begin, end): &(&Value, f64, f64)| {
+                *tid == event["tid"] && begin <= from && to <= end + 1e-3
+            };
+            assert!(pieces.iter().any(within), "{event}");
+        }
+    }
+
+    folder.write("picture.svg", "kept");
+    folder.fail(&args, 3, &["trace.json exists already", "--force"]);
+    folder.fail(&[PROFILE, &["--svg", "picture.svg"]].concat(), 3, &["picture.svg exists"]);
+    assert_eq!(folder.read("picture.svg"), b"kept");
+    folder.succeed(&[PROFILE, &["--svg", "picture.svg", "--force"]].concat());
+    assert!(text(&folder.read("picture.svg")).starts_with("<svg"));
+}
+
+#[test]
+fn a_profile_of_what_cannot_be_run_says_so() {
+    let folder = Folder::new();
+    let with = |more: &[&'static str]| [PROFILE, more].concat();
+    folder.fail(&with(&["--measure", "0.2", "--measure", "0"]), 2, &["--measure"]);
+    for wrong in ["0", "-1", "nan", "1e9", "soon"] {
+        let flag = format!("--measure={wrong}");
+        let args: Vec<&str> =
+            PROFILE[..PROFILE.len() - 2].iter().copied().chain([&*flag]).collect();
+        folder.fail(&args, 2, &["--measure", wrong]);
+    }
+    let plain = |more: &[&'static str]| [&["profile"], more].concat();
+    folder.fail(&plain(&["--threads", "100000"]), 2, &["100000 threads are too many"]);
+    folder.fail(&plain(&["--axis-share", "2"]), 2, &["axis"]);
+    folder.fail(&plain(&["--tile", "2x2x2"]), 2, &["kernel"]);
+    folder.fail(&plain(&["--workers", "2"]), 2, &["worker"]);
+    folder.fail(&plain(&["--tile", "60000x60000x60"]), 4, &["memory"]);
+    folder.fail(&plain(&["--svg", "nowhere/picture.svg"]), 1, &["no folder"]);
+    folder.fail(&plain(&["--svg", "a.json", "--trace", "./a.json"]), 1, &["two outputs"]);
+}

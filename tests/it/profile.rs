@@ -1,8 +1,18 @@
-//! The cache model against a tool that is not ours.
+//! The profile's models: the caches against a tool that is not ours, accesses and traffic against
+//! loops over pixels.
 
+use std::collections::{HashMap, HashSet};
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
 
+use perceptile::draw::LevelSets;
+use perceptile::gradient::probe::Stage;
+use perceptile::profile::access::{self, Arrangement, Order};
+use perceptile::profile::machine::Machine;
+use perceptile::profile::subject::Subject;
+use perceptile::profile::traffic;
+use perceptile::solver::Preset;
+use perceptile::tile::TileShape;
 use serde_json::Value;
 use tempfile::TempDir;
 
@@ -70,9 +80,8 @@ fn the_cache_model_agrees_with_cachegrind() {
         return println!("skipped: valgrind is not installed");
     }
     // Tests of this file alone do not build examples; those of the package do.
-    if !example("replay").exists() {
-        return println!("skipped: there is no {}", example("replay").display());
-    }
+    let replay = example("replay");
+    assert!(replay.exists(), "{} is missing: cargo build --examples makes it", replay.display());
     let ((model, [d1, l3]), (again, [d1_again, l2])) = std::thread::scope(|scope| {
         let other = scope.spawn(|| run(L2));
         (run(L3), other.join().unwrap())
@@ -84,4 +93,130 @@ fn the_cache_model_agrees_with_cachegrind() {
     for (model, found) in [(first, d1), (again[0], d1_again), (again[1], l2), (third, l3)] {
         assert!(model.abs_diff(found) * 5 <= found, "the model has {model}, cachegrind {found}");
     }
+}
+
+/// A descent on a tile that is small and no multiple of anything.
+fn subject() -> Subject {
+    let mut options = Preset::Quick.options();
+    options.shape = TileShape::new(21, 19, 5, 2, 2).unwrap();
+    options.kernel = "gaussian(1) * fovvideovdp(24) @ 5x3x5".parse().unwrap();
+    options.draw.draws = 60;
+    let kernel = options.kernel.resolve(options.shape).unwrap();
+    Subject::new(&options, &kernel, 1).unwrap()
+}
+
+/// Calls `visit(x, y, t, draw)` for every pixel of every draw of a step, before it is wrapped in x
+/// and y.
+fn pixels(subject: &Subject, step: u32, mut visit: impl FnMut(i64, i64, i64, usize)) {
+    let kernel = subject.options().kernel.resolve(subject.shape()).unwrap();
+    let classes = kernel.classes().iter().map(|class| (class.weight, &class.taps));
+    let levels = LevelSets::new(classes);
+    let mut number = 0;
+    for cell in 0..subject.partition().cells() {
+        let place = subject.partition().cell(cell);
+        for draw in subject.cell_draws(step, cell).draws {
+            for offset in &levels.sets()[draw.set as usize].offsets[..draw.taps as usize] {
+                visit(
+                    (place.x + draw.x as usize) as i64 + i64::from(offset.x),
+                    (place.y + draw.y as usize) as i64 + i64::from(offset.y),
+                    (i64::from(draw.t) + i64::from(offset.z)).rem_euclid(5),
+                    number,
+                );
+            }
+            number += 1;
+        }
+    }
+}
+
+#[test]
+fn lines_and_pages_of_a_draw_are_those_of_its_pixels() {
+    let subject = subject();
+    let levels = Machine::detect().levels();
+    let line = i64::from(levels[0].line);
+    let found = access::compare(&subject, &levels).unwrap();
+    let shape = subject.shape();
+    let (width, height) = (shape.width() as i64, shape.height() as i64);
+    let (rows, reach) = (subject.rows(), subject.rows().reach());
+    let bytes = (rows.pixel() * 4) as i64;
+    let linear = |x: i64, y: i64, t: i64| {
+        (((t * height) + y.rem_euclid(height)) * width + x.rem_euclid(width)) * bytes
+    };
+    let in_rows = |x: i64, y: i64, t: i64| {
+        let row = (reach.up as i64 + y) * 5 + t;
+        row * rows.stride() as i64 * 4 + (reach.left as i64 + x) * bytes
+    };
+    let check = |arrangement, address: &dyn Fn(i64, i64, i64) -> i64| {
+        let (mut lines, mut pages) = (HashSet::new(), HashSet::new());
+        let mut draws = HashSet::new();
+        let mut fewest = HashMap::<_, i64>::new();
+        // Enough steps for a comparison never come together here, so it takes all of them.
+        for step in 1..=16 {
+            pixels(&subject, step, |x, y, t, draw| {
+                let first = address(x, y, t);
+                for byte in first..first + bytes {
+                    lines.insert((step, draw, byte / line));
+                    pages.insert((step, draw, byte / 4096));
+                }
+                draws.insert((step, draw));
+                *fewest.entry((step, draw)).or_default() += bytes;
+            });
+        }
+        let all = draws.len() as f64;
+        let fewest: i64 = fewest.into_values().map(|bytes| (bytes + line - 1) / line).sum();
+        for order in Order::ALL {
+            let of =
+                |row: &&access::Behaviour| (row.arrangement, row.order) == (arrangement, order);
+            let row = found.iter().find(of).unwrap();
+            let expected = [
+                all,
+                lines.len() as f64 / all,
+                pages.len() as f64 / all,
+                lines.len() as f64 / fewest as f64,
+            ];
+            let label = format!("{arrangement:?} {order:?}");
+            let found = [row.draws as f64, row.lines, row.pages, row.ratio];
+            for (found, expected) in found.into_iter().zip(expected) {
+                assert!((found - expected).abs() < 1e-9, "{label}: {found}, not {expected}");
+            }
+        }
+    };
+    check(Arrangement::Linear, &linear);
+    check(Arrangement::Rows, &in_rows);
+    // A line is used for the first time in a draw before it is used again.
+    for row in &found {
+        let uses = row.reuse.cold + row.reuse.bins.iter().sum::<u64>();
+        assert!(uses as f64 >= 3.0 * row.lines * row.draws as f64 - 0.5, "{row:?}");
+        assert!(row.misses()[0] >= row.misses()[1] && row.misses()[1] >= row.misses()[2]);
+        let copies = matches!(row.arrangement, Arrangement::Bricks | Arrangement::Curve);
+        assert!(copies || row.copy == [0.0; 3]);
+    }
+}
+
+#[test]
+fn traffic_is_what_loops_over_pixels_and_patches_move() {
+    let subject = subject();
+    let (traffic, subsets) = traffic::count(&subject, 1);
+    let mut samples = 0;
+    pixels(&subject, 0, |_, _, _, _| samples += 2);
+    assert_eq!(subsets.draws, 60);
+    assert!((subsets.samples * 60.0 - f64::from(samples)).abs() < 1e-6);
+    let words = f64::from(samples) * 2.0;
+    let reach = subject.partition().reach();
+    let patches: usize = subject
+        .blocks()
+        .iter()
+        .map(|block| {
+            let place = block.place();
+            let width = reach.left + place.width + reach.right;
+            width * (reach.up + place.height + reach.down) * 5 * 4
+        })
+        .sum();
+    let (patches, all) = (patches as f64, subject.shape().coordinates() as f64);
+    let bytes = |stage: Stage| traffic[stage as usize].bytes();
+    assert_eq!(bytes(Stage::Gather), 4.0 * 2.0 * words);
+    assert_eq!(bytes(Stage::Scatter), 4.0 * (3.0 * words + patches));
+    assert_eq!(bytes(Stage::Reduce), 4.0 * (3.0 * patches + all));
+    assert_eq!(bytes(Stage::Adam), 4.0 * 7.0 * all);
+    assert_eq!(traffic[Stage::Adam as usize].operations, 16.0 * all);
+    assert_eq!(bytes(Stage::Waiting), 0.0);
 }

@@ -1,0 +1,369 @@
+//! Sentences that say what the numbers of a profile mean, and what to try.
+
+use super::access::{Arrangement, Behaviour, Order};
+use super::report::{StageRow, size};
+use super::roofline::{Bound, Store};
+use super::subject::Sizes;
+use crate::gradient::probe::Stage;
+
+/// What a profile found.
+#[derive(Debug, Clone, Copy)]
+pub struct Evidence<'a> {
+    /// The stages, in the order of [`Stage::ALL`].
+    pub stages: &'a [StageRow],
+    /// Layouts and orders.
+    pub layouts: &'a [Behaviour],
+    /// Bytes of what the descent keeps.
+    pub sizes: &'a Sizes,
+    /// Bytes of L1, L2 and L3.
+    pub caches: [u64; 3],
+    /// Threads of the run.
+    pub threads: usize,
+    /// Blocks that they share.
+    pub blocks: usize,
+    /// Draws of a step.
+    pub draws: usize,
+}
+
+/// Nanoseconds that a miss costs which the next level answers: usual ones of server cores, to
+/// weigh levels against each other.
+const LATENCIES: [f64; 3] = [4.0, 15.0, 90.0];
+/// Share of the time from which waiting is worth a word.
+const WAITING: f64 = 0.05;
+/// Share of the time from which the work on all coordinates is worth a word.
+const UPDATE: f64 = 0.3;
+/// Share of a roof from which a stage is as fast as the machine lets it be.
+const NEAR: f64 = 0.6;
+/// What a layout has to save to be worth a word.
+const SAVING: f64 = 0.1;
+/// Misses of a draw from which they are worth a word.
+const MISSES: f64 = 0.05;
+
+impl Evidence<'_> {
+    fn share(&self, stage: Stage) -> f64 {
+        self.stages.iter().find(|row| row.stage == stage.name()).map_or(0.0, |row| row.share)
+    }
+
+    fn behaviour(&self, arrangement: Arrangement, order: Order) -> Option<&Behaviour> {
+        self.layouts.iter().find(|row| (row.arrangement, row.order) == (arrangement, order))
+    }
+}
+
+/// What to say, the most important first.
+pub fn advice(evidence: &Evidence<'_>) -> Vec<String> {
+    let mut sentences = Vec::new();
+    let working = evidence.stages.iter().filter(|row| row.stage != Stage::Waiting.name());
+    if let Some(row) = working.max_by(|a, b| a.share.total_cmp(&b.share)) {
+        sentences.push(longest(row));
+    }
+    sentences.extend(misses(evidence));
+    sentences.extend(order(evidence));
+    sentences.extend(window(evidence));
+    sentences.extend(update(evidence));
+    sentences.extend(waiting(evidence));
+    sentences
+}
+
+/// The stage that takes most, and how near it is to what the machine can do.
+fn longest(row: &StageRow) -> String {
+    let begin = format!("{} takes most, {:.0} % of the time", row.stage, 100.0 * row.share);
+    let Some(placement) = row.placement else { return begin + "." };
+    let roof = match (placement.bound, row.store) {
+        (Bound::Compute, _) => "the rate of operations",
+        (Bound::Memory, Store::L1) => "the bandwidth of L1",
+        (Bound::Memory, Store::L2) => "the bandwidth of L2",
+        (Bound::Memory, Store::Memory) => "the bandwidth of memory",
+    };
+    let share = 100.0 * placement.share;
+    if placement.share > 1.0 {
+        format!(
+            "{begin}, and is faster than {roof} allows for copying ({share:.0} % of it): it comes \
+             from a cache, or in streams that suit the memory; only less work helps."
+        )
+    } else if placement.share >= NEAR {
+        format!("{begin}, and is bound by {roof} ({share:.0} % of it): only less work helps.")
+    } else {
+        format!(
+            "{begin}, at {share:.0} % of what {roof} allows: it is bound by latency, branches and \
+             instructions rather than by a rate."
+        )
+    }
+}
+
+/// The level whose misses cost the draws most, and the layout that has fewest of them.
+fn misses(evidence: &Evidence<'_>) -> Option<String> {
+    let rows = evidence.behaviour(Arrangement::Rows, Order::Sorted)?;
+    let moving = evidence.share(Stage::Gather) + evidence.share(Stage::Scatter);
+    let stage = if rows.scatter.iter().sum::<f64>() >= rows.gather.iter().sum::<f64>() {
+        Stage::Scatter
+    } else {
+        Stage::Gather
+    };
+    let of = rows.misses();
+    // What is missed here and found in the next level.
+    let cost = |level: usize| (of[level] - of.get(level + 1).unwrap_or(&0.0)) * LATENCIES[level];
+    let level = (0..3).max_by(|&a, &b| cost(a).total_cmp(&cost(b)))?;
+    let taken = format!("gather and scatter take {:.0} % of the time", 100.0 * moving);
+    if of[level] < MISSES {
+        return Some(format!("{taken}; what they need is in the caches near the core."));
+    }
+    let begin = format!(
+        "{taken}; they cost L{} misses most, {:.1} a draw, {} the larger part of them",
+        level + 1,
+        of[level],
+        stage.name()
+    );
+    let others = [Arrangement::Bricks, Arrangement::Curve, Arrangement::Linear];
+    let others = others.iter().filter_map(|&other| evidence.behaviour(other, Order::Sorted));
+    let best = others.min_by(|a, b| a.misses()[level].total_cmp(&b.misses()[level]))?;
+    let left = best.misses()[level] / of[level];
+    let name = best.arrangement.name();
+    if left >= 1.0 - SAVING {
+        return Some(format!(
+            "{begin}: no other layout helps, the next one, {name}, has {:.1}, copying included.",
+            best.misses()[level]
+        ));
+    }
+    let saved = 100.0 * (1.0 - left);
+    let measured = match best.measured.zip(rows.measured) {
+        Some((best, rows)) if best > rows => format!(
+            ", but a measured step takes {:.2} times as long: rows are the better choice",
+            best / rows
+        ),
+        Some((best, rows)) => {
+            format!(", and a measured step takes {:.0} % less time", 100.0 * (1.0 - best / rows))
+        }
+        None => ", which is not measured: a run has no such layout".into(),
+    };
+    Some(format!("{begin}: {name} would save {saved:.0} % of them, copying included{measured}."))
+}
+
+/// What sorting the draws saves.
+fn order(evidence: &Evidence<'_>) -> Option<String> {
+    let sorted = evidence.behaviour(Arrangement::Rows, Order::Sorted)?.misses();
+    let unsorted = evidence.behaviour(Arrangement::Rows, Order::Unsorted)?.misses();
+    let level = (0..3).max_by(|&a, &b| {
+        let saved = |level: usize| (unsorted[level] - sorted[level]) * LATENCIES[level];
+        saved(a).total_cmp(&saved(b))
+    })?;
+    let (sorted, unsorted) = (sorted[level], unsorted[level]);
+    if unsorted < MISSES {
+        return None;
+    }
+    Some(if sorted < unsorted * (1.0 - SAVING) {
+        format!(
+            "doing draws cell by cell saves {:.0} % of the L{} misses of a draw ({unsorted:.1} \
+             without order, {sorted:.1} with).",
+            100.0 * (1.0 - sorted / unsorted),
+            level + 1
+        )
+    } else {
+        format!(
+            "the order of draws is of little use here: {unsorted:.1} L{} misses a draw without, \
+             {sorted:.1} with.",
+            level + 1
+        )
+    })
+}
+
+/// Whether what a cell sees outgrows the second cache.
+fn window(evidence: &Evidence<'_>) -> Option<String> {
+    let (seen, l2) = (2 * evidence.sizes.window, evidence.caches[1]);
+    (seen > l2).then(|| {
+        format!(
+            "what the draws of a cell see, {} with its gradient, outgrows L2 ({}): cells of {:.1} \
+             times fewer pixels, or fewer frames in the tile, would fit.",
+            size(seen),
+            size(l2),
+            seen as f64 / l2 as f64
+        )
+    })
+}
+
+/// Whether the work on all coordinates is what a step consists of.
+fn update(evidence: &Evidence<'_>) -> Option<String> {
+    let share = evidence.share(Stage::Reduce) + evidence.share(Stage::Adam);
+    let (all, l3) = (evidence.sizes.all(), evidence.caches[2]);
+    let place = if all > l3 {
+        format!("samples, moments and patches, {}, outgrow L3 ({})", size(all), size(l3))
+    } else {
+        format!("samples, moments and patches, {}, stay in L3 ({})", size(all), size(l3))
+    };
+    if share > UPDATE {
+        Some(format!(
+            "reduce and adam take {:.0} % of the time, whatever the number of draws; {place}: with \
+             {} draws a step instead of {} they would take {:.0} %.",
+            100.0 * share,
+            2 * evidence.draws,
+            evidence.draws,
+            100.0 * share / (2.0 - share)
+        ))
+    } else {
+        (all > l3).then(|| {
+            format!(
+                "{place}: each step brings all of them from memory, but reduce and adam take only \
+                 {:.0} % of the time.",
+                100.0 * share
+            )
+        })
+    }
+}
+
+/// Whether threads have nothing to do.
+fn waiting(evidence: &Evidence<'_>) -> Option<String> {
+    let share = evidence.share(Stage::Waiting);
+    let Evidence { threads, blocks, .. } = *evidence;
+    let begin = format!("threads wait {:.0} % of the time", 100.0 * share);
+    if share <= WAITING {
+        None
+    } else if blocks < threads {
+        Some(format!("{begin}: the tile has blocks for {blocks} of them, but there are {threads}."))
+    } else {
+        Some(format!(
+            "{begin}: for each other, for a processor that others use, or for what one of them \
+             does alone; more draws a step or fewer threads leave less of that."
+        ))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::profile::cache::ReuseHistogram;
+    use crate::profile::roofline::Placement;
+    use crate::profile::traffic::Traffic;
+
+    const SIZES: Sizes = Sizes {
+        samples: 4 << 20,
+        moments: 8 << 20,
+        patches: 5 << 20,
+        patch: 1 << 20,
+        window: 1 << 17,
+    };
+
+    fn stages(shares: [f64; Stage::ALL.len()], of_roof: f64) -> Vec<StageRow> {
+        let row = |(stage, share): (Stage, f64)| StageRow {
+            stage: stage.name(),
+            nanoseconds: share * 1e6,
+            per_draw: share * 1e3,
+            share,
+            traffic: Traffic::default(),
+            store: Store::L1,
+            placement: Some(Placement {
+                intensity: Some(1.0),
+                attainable: 1.0,
+                attained: of_roof,
+                bound: Bound::Compute,
+                share: of_roof,
+            }),
+        };
+        Stage::ALL.into_iter().zip(shares).map(row).collect()
+    }
+
+    fn behaviour(arrangement: Arrangement, order: Order, misses: [f64; 3]) -> Behaviour {
+        Behaviour {
+            arrangement,
+            order,
+            draws: 1,
+            lines: 1.0,
+            pages: 1.0,
+            ratio: 1.0,
+            gather: [0.0; 3],
+            scatter: misses,
+            copy: [0.0; 3],
+            reuse: ReuseHistogram::default(),
+            measured: match arrangement {
+                Arrangement::Rows => Some(400.0),
+                Arrangement::Bricks => Some(500.0),
+                Arrangement::Curve => Some(300.0),
+                Arrangement::Linear => None,
+            },
+        }
+    }
+
+    fn say(stages: &[StageRow], layouts: &[Behaviour], sizes: &Sizes) -> String {
+        let caches = [32 << 10, 1 << 20, 32 << 20];
+        let evidence =
+            Evidence { stages, layouts, sizes, caches, threads: 2, blocks: 8, draws: 100 };
+        advice(&evidence).join("\n")
+    }
+
+    #[test]
+    fn the_longest_stage_is_named_with_its_roof() {
+        let shares = [0.1, 0.1, 0.1, 0.4, 0.1, 0.1, 0.05, 0.05, 0.0];
+        let far = say(&stages(shares, 0.2), &[], &SIZES);
+        assert!(far.contains("rank takes most, 40 % of the time, at 20 %"), "{far}");
+        let near = say(&stages(shares, 0.9), &[], &SIZES);
+        assert!(near.contains("bound by the rate of operations (90 % of it)"), "{near}");
+        assert!(!near.contains("wait") && !near.contains("outgrow"), "{near}");
+        let above = say(&stages(shares, 2.0), &[], &SIZES);
+        assert!(above.contains("allows for copying (200 % of it)"), "{above}");
+    }
+
+    #[test]
+    fn waiting_is_not_work() {
+        let text = say(&stages([0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.9], 0.2), &[], &SIZES);
+        assert!(text.contains("draws takes most") && text.contains("wait 90 %"), "{text}");
+        assert!(!text.contains("blocks"), "{text}");
+        let rows = stages([0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.5], 0.2);
+        let caches = [1; 3];
+        let (stages, layouts, sizes) = (&rows[..], &[][..], &SIZES);
+        let evidence =
+            Evidence { stages, layouts, sizes, caches, threads: 8, blocks: 3, draws: 100 };
+        let text = advice(&evidence).join("\n");
+        assert!(text.contains("blocks for 3 of them, but there are 8"), "{text}");
+    }
+
+    #[test]
+    fn a_layout_is_advised_if_it_saves_the_misses_that_cost() {
+        let shares = [0.0, 0.3, 0.1, 0.1, 0.1, 0.3, 0.05, 0.05, 0.0];
+        let rows = behaviour(Arrangement::Rows, Order::Sorted, [10.0, 8.0, 0.0]);
+        let with = |arrangement, misses| {
+            let other = behaviour(arrangement, Order::Sorted, misses);
+            say(&stages(shares, 0.2), &[rows.clone(), other], &SIZES)
+        };
+        let text = with(Arrangement::Bricks, [9.0, 4.0, 0.0]);
+        assert!(text.contains("L2 misses most, 8.0 a draw, scatter the larger part"), "{text}");
+        assert!(text.contains("bricks would save 50 %") && text.contains("1.25 times"), "{text}");
+        let text = with(Arrangement::Curve, [9.0, 2.0, 0.0]);
+        assert!(text.contains("curve would save 75 %") && text.contains("25 % less"), "{text}");
+        let text = with(Arrangement::Linear, [9.0, 2.0, 0.0]);
+        assert!(text.contains("linear would save 75 %") && text.contains("not measured"), "{text}");
+        let text = with(Arrangement::Curve, [9.0, 9.0, 0.0]);
+        assert!(text.contains("no other layout helps, the next one, curve, has 9.0"), "{text}");
+    }
+
+    #[test]
+    fn what_is_not_missed_needs_no_advice() {
+        let rows = behaviour(Arrangement::Rows, Order::Sorted, [0.0; 3]);
+        let unsorted = behaviour(Arrangement::Rows, Order::Unsorted, [0.0; 3]);
+        let text = say(&stages([0.1; 9], 0.2), &[rows, unsorted], &SIZES);
+        assert!(
+            text.contains("is in the caches near the core") && !text.contains("order"),
+            "{text}"
+        );
+    }
+
+    #[test]
+    fn order_is_praised_for_what_it_saves() {
+        let of = |misses| {
+            let sorted = behaviour(Arrangement::Rows, Order::Sorted, [5.0, 1.0, 1.0]);
+            let unsorted = behaviour(Arrangement::Rows, Order::Unsorted, misses);
+            say(&stages([0.1; 9], 0.2), &[sorted, unsorted], &SIZES)
+        };
+        assert!(of([5.0, 4.0, 1.0]).contains("saves 75 % of the L2 misses"));
+        assert!(of([5.0, 1.0, 1.0]).contains("of little use"));
+    }
+
+    #[test]
+    fn what_outgrows_a_cache_is_said() {
+        let large = Sizes { window: 1 << 20, moments: 64 << 20, ..SIZES };
+        let text = say(&stages([0.1; 9], 0.2), &[], &large);
+        assert!(text.contains("2.0 MB with its gradient, outgrows L2 (1.0 MB)"), "{text}");
+        assert!(text.contains("outgrow L3 (32.0 MB): each step"), "{text}");
+        let mut shares = [0.05; 9];
+        (shares[6], shares[7]) = (0.3, 0.3);
+        let text = say(&stages(shares, 0.2), &[], &SIZES);
+        assert!(text.contains("stay in L3") && text.contains("200 draws"), "{text}");
+    }
+}
