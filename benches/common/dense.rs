@@ -71,6 +71,7 @@ pub struct Dense {
     /// Projection and index of the samples above the threshold, and the targets of their ranks.
     selected: Vec<(f32, u32)>,
     wanted: Vec<f32>,
+    integrals: Vec<f64>,
 }
 
 impl Dense {
@@ -102,6 +103,7 @@ impl Dense {
             along: vec![0.0; shape.samples()],
             selected: Vec::new(),
             wanted: Vec::new(),
+            integrals: Vec::new(),
         }
     }
 
@@ -152,12 +154,12 @@ impl Dense {
 
     /// Adds the pulls of a draw to the gradient.
     #[inline(always)]
-    fn add(&mut self, draw: &DenseDraw) {
+    fn add<I: Isa>(&mut self, isa: I, draw: &DenseDraw) {
         self.project(draw);
-        let Self { shape, targets, gradient, along, selected, wanted, .. } = self;
+        let Self { shape, targets, integrals, gradient, along, selected, wanted, .. } = self;
         selected.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         wanted.resize(selected.len(), 0.0);
-        targets.fill(&draw.direction, wanted);
+        targets.fill(isa, &draw.direction, integrals, wanted);
         along.fill(0.0);
         for (&(projection, i), target) in selected.iter().zip(wanted) {
             along[i as usize] = *target - projection;
@@ -178,7 +180,7 @@ impl Vectorized for Pull<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn run<I: Isa>(self, _: I) {
-        self.dense.add(self.draw);
+    fn run<I: Isa>(self, isa: I) {
+        self.dense.add(isa, self.draw);
     }
 }
