@@ -10,14 +10,17 @@
 //!  kernel ──► draw ──► gradient ──► solver ──► run ──► format      tile.npy, .json, .png
 //!  spec→taps  cells'    project,     patches    phases, files
 //!             draws     rank, pull   → Adam     observer
-//!                 ╲        ╱           │                └─► metric  scores, spectra
-//!                   tile: shape, cells, halos (all index arithmetic)
+//!                 ╲        ╱           ├─► profile    └─► metric  scores, spectra
+//!             tile: shape, cells, blocks,  stages, caches, roofline
+//!             rows (all index arithmetic)
 //! ```
 //!
-//! Arrows run one way. A step of the solver is one protocol, whatever it runs on: every cell's
-//! draws fill a private integer patch, patches are added up across halos, Adam moves the samples
-//! into the other half of the state, halos are refreshed, and the step commits
-//! ([`solver::Descent::step`]).
+//! Arrows run one way. A step of the solver ([`solver::Descent::step`]) has two halves. In the
+//! first, the draws of every block of cells read the samples in their rows and fill a private
+//! integer patch; in the second, patches add up line by line, and Adam moves the samples of the
+//! line. Why it is fast is told where it is done: rows in [`tile::Rows`], the stages of a draw in
+//! [`gradient`], sorting and transpositions in [`gradient::simd`], pages of memory in the solver;
+//! [`profile`] shows what comes of it.
 //!
 //! ```
 //! use perceptile::gradient::simd::Simd;

@@ -7,6 +7,11 @@
 //! gradient this is, is half the sum over draws and samples of (projection − target)², that is
 //! n·W₂²/2 of each subset. `reference` says the same in f64 and without haste.
 //!
+//! Draws of a cell go through their stages one behind the other, so that memory is asked for
+//! before it is needed. What makes a stage fast is told in its file: [`Run`]s of samples that lie
+//! side by side, `memory` that moves them in whole registers, `rank` that sorts one word for each
+//! sample, targets in closed form or from tables.
+//!
 //! Pulls add up as integers in a [`Patch`], in units of a quantum that no sum can overflow, so
 //! that the order of draws, threads and ranks cannot matter.
 

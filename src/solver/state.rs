@@ -11,7 +11,7 @@ use crate::solver::adam::{Factors, Pull, Update};
 use crate::solver::pages::Pages;
 use crate::tile::{Cell, Partition, Rows, SLACK, Tile};
 
-/// The samples of a rank's cells in *cell order* (cell after cell, each in C order, no halos).
+/// The samples of a rank's cells in *cell order* (cell after cell, each in C order).
 ///
 /// This is what phases hand on to each other.
 #[derive(Debug, Clone, PartialEq)]
