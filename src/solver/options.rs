@@ -141,10 +141,11 @@ impl Preset {
     /// | axis weight of the polish, 3,000 steps | 0.2: .0041 .110 .098 .022 .096 | 0.1 (and half the axis share): .0038 .107 .110 .021 .093 |
     /// | column share | 0.1: .0042 .114 .107 .024 .099, residual .10 | 0.05: .0039 .112 .103 .023 .097, residual .16 |
     ///
-    /// Warping every so often while optimizing is no better than once at the end.
+    /// Warping every so often while optimizing is no better than once at the end. The steps of
+    /// `Best` are as many as half a minute of two cores takes.
     pub fn options(self) -> Options {
         let (size, steps, polish) = match self {
-            Self::Best => ((64, 64, 16), 6_000, 150),
+            Self::Best => ((64, 64, 16), 16_000, 150),
             Self::Quick => ((64, 64, 16), 500, 30),
             Self::Salaun => ((64, 64, 16), 3_000, 50),
             Self::Paper | Self::PaperTaa => ((128, 128, 30), 10_000, 40),
