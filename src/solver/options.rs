@@ -148,7 +148,7 @@ impl Preset {
             Self::Best => ((64, 64, 16), 16_000, 150),
             Self::Quick => ((64, 64, 16), 500, 30),
             Self::Salaun => ((64, 64, 16), 3_000, 50),
-            Self::Paper | Self::PaperTaa => ((128, 128, 30), 10_000, 40),
+            Self::Paper | Self::PaperTaa => ((128, 128, 30), 10_000, 80),
         };
         let kernel = match self {
             Self::Best | Self::Quick => PERCEPTION,
