@@ -1,8 +1,9 @@
 //! What a step reads and writes: samples and moments.
 //!
-//! A step changes them in place, line by line: writing into a second copy, so that a step could
-//! be done again from its start, costs memory traffic in every step, and one process has nobody
-//! who could fail half-way.
+//! A step changes them in place, line by line. Writing into a second copy, so that a step could be
+//! done again from its start, made the steps of the paper's tile half as long again: with it the
+//! state outgrows the third-level cache. One process has nobody who could fail half-way; where
+//! somebody can, a line that is written down before it is changed is enough.
 
 use rayon::prelude::*;
 
