@@ -368,7 +368,6 @@ fn signed(x: f32, by: f32) -> f32 {
 
 /// 1/√x to five digits for x ≥ 0 (finite at 0): a first guess by halving the exponent in the bit
 /// pattern, then two Newton steps. Plain arithmetic, so that it is the same on every machine.
-/// One step is too few: its error of a thousandth leaves the density of the tile uneven.
 #[inline(always)]
 fn inverse_root(x: f32) -> f32 {
     /// 3/2 · 2²³ · (127 − 0.045), which the halved bit pattern is taken from; 0.045 makes the
