@@ -3,6 +3,7 @@
 //! Everything that is printed is printed here; the library never sees a flag.
 
 mod evaluate;
+mod execution;
 mod export;
 mod kernel;
 mod optimize;

@@ -6,12 +6,11 @@ use std::process::ExitCode;
 use std::time::{Duration, Instant, SystemTime};
 
 use anyhow::Context;
-use clap::{Args, ValueEnum};
+use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use perceptile::format::sidecar::{self, Sidecar};
 use perceptile::format::source::TileSource;
 use perceptile::format::write::Existing;
-use perceptile::gradient::simd::Simd;
 use perceptile::kernel::Kernel;
 use perceptile::metric::{Domain, ScoreOptions, Scorer, Scores};
 use perceptile::run::memory;
@@ -21,8 +20,9 @@ use perceptile::run::phases;
 use perceptile::run::signals::Signals;
 use perceptile::solver::{Options, Phase, StopReason, Summary};
 
+use super::execution::{self, ExecutionArgs};
+use super::print;
 use super::settings::Settings;
-use super::{Misuse, print};
 
 /// Make a sample tile
 ///
@@ -47,13 +47,8 @@ pub struct OptimizeArgs {
     #[arg(long)]
     force: bool,
 
-    /// Threads, at most 1024; 0 takes one for each core
-    #[arg(long, default_value_t = 0)]
-    threads: usize,
-
-    /// Worker processes; 0 means threads in this process
-    #[arg(long, default_value_t = 0, value_parser = parse_workers)]
-    workers: u32,
+    #[command(flatten)]
+    execution: ExecutionArgs,
 
     /// Stop when this time is up, such as 90s, 10m or 2h, and write what there is
     #[arg(long, value_parser = parse_duration)]
@@ -63,47 +58,9 @@ pub struct OptimizeArgs {
     #[arg(long, value_name = "N", default_value_t = ScoreOptions::default().integrands)]
     integrands: usize,
 
-    /// Instruction set of the inner loops; of no influence on the tile
-    #[arg(long, value_enum, default_value_t = SimdChoice::Auto)]
-    simd: SimdChoice,
-
     /// Say what the run would do and need, and stop
     #[arg(long)]
     dry_run: bool,
-}
-
-/// Most threads; systems refuse far more of them, some only after having made thousands.
-const MAX_THREADS: usize = 1024;
-
-/// What `--simd` offers.
-#[derive(Debug, Clone, Copy, ValueEnum)]
-pub enum SimdChoice {
-    /// The best that the machine has
-    Auto,
-    /// None
-    Plain,
-}
-
-impl SimdChoice {
-    /// What is chosen on this machine.
-    pub fn simd(self) -> Simd {
-        match self {
-            Self::Auto => Simd::detect(),
-            Self::Plain => Simd::plain(),
-        }
-    }
-}
-
-/// The number of threads that `--threads` asks for.
-///
-/// # Errors
-/// If it is too large.
-pub fn threads(asked: usize) -> Result<usize, Misuse> {
-    match asked {
-        0 => Ok(std::thread::available_parallelism().map_or(1, usize::from)),
-        1..=MAX_THREADS => Ok(asked),
-        _ => Err(Misuse(format!("{asked} threads are too many: at most {MAX_THREADS}"))),
-    }
 }
 
 /// Makes the tile.
@@ -123,7 +80,7 @@ pub fn run(args: OptimizeArgs) -> anyhow::Result<ExitCode> {
     if args.integrands > 0 {
         score_options.validate()?;
     }
-    let threads = threads(args.threads)?;
+    let threads = args.execution.threads()?;
     memory::check(&options, &kernel, threads)?;
     if args.dry_run {
         print(&plan(&options, &kernel, threads))?;
@@ -133,11 +90,8 @@ pub fn run(args: OptimizeArgs) -> anyhow::Result<ExitCode> {
     let outputs = Outputs::of(&args.out);
     outputs.probe(existing)?;
     let start = start.map(|path| TileSource::new(path).read()).transpose()?;
-    let simd = args.simd.simd();
-    let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(threads)
-        .build()
-        .map_err(|error| Misuse(format!("{threads} threads cannot be had: {error}")))?;
+    let simd = args.execution.simd();
+    let pool = execution::pool(threads)?;
     let signals = Signals::install().context("cannot listen for signals")?;
     let begin = Instant::now();
     let mut watch = Watch {
@@ -296,17 +250,6 @@ fn report(
     line(format!("picture     {}", outputs.picture.display()));
     line(format!("provenance  {}", outputs.sidecar.display()));
     text
-}
-
-/// Reads the number of worker processes.
-pub fn parse_workers(text: &str) -> Result<u32, String> {
-    match text.parse() {
-        Ok(0) => Ok(0),
-        _ => {
-            Err("there are no worker processes in this version; 0 means threads in this process"
-                .into())
-        }
-    }
 }
 
 /// Reads `90s`, `10m`, `2h` or a number of seconds.

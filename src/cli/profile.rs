@@ -15,9 +15,9 @@ use perceptile::profile::spans;
 use perceptile::profile::subject::Subject;
 use perceptile::run::memory;
 
-use super::optimize::{SimdChoice, parse_workers, threads};
+use super::execution::{self, ExecutionArgs};
+use super::print;
 use super::settings::Settings;
-use super::{Misuse, print};
 
 /// Show where time and memory traffic of a run go
 ///
@@ -55,17 +55,8 @@ pub struct ProfileArgs {
     #[arg(long)]
     force: bool,
 
-    /// Threads, at most 1024; 0 takes one for each core
-    #[arg(long, default_value_t = 0)]
-    threads: usize,
-
-    /// Worker processes; 0 means threads in this process
-    #[arg(long, default_value_t = 0, value_parser = parse_workers)]
-    workers: u32,
-
-    /// Instruction set of the inner loops
-    #[arg(long, value_enum, default_value_t = SimdChoice::Auto)]
-    simd: SimdChoice,
+    #[command(flatten)]
+    execution: ExecutionArgs,
 }
 
 /// Most events of a trace: some ten megabytes.
@@ -85,20 +76,17 @@ pub fn run(args: ProfileArgs) -> anyhow::Result<()> {
     // Only the descent is looked at.
     options.polish.steps = 0;
     let kernel = options.kernel.resolve(options.shape)?;
-    let threads = threads(args.threads)?;
+    let threads = args.execution.threads()?;
     memory::check(&options, &kernel, threads)?;
     let subject = Subject::new(&options, &kernel, threads)?;
     let existing = Existing::from_force(args.force);
     write::probe(args.trace.iter().chain(&args.svg), existing)?;
-    let simd = args.simd.simd();
+    let simd = args.execution.simd();
     let machine = Machine::detect();
     let rates = Rates::measure(&machine, simd, threads)?;
     // Counters see the threads that are started after them.
     let mut counters = Counters::open();
-    let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(threads)
-        .build()
-        .map_err(|error| Misuse(format!("{threads} threads cannot be had: {error}")))?;
+    let pool = execution::pool(threads)?;
     let profile = pool
         .install(|| Profile::take(&subject, machine, rates, simd, args.measure, &mut counters))?;
     if let Some(path) = &args.trace {

@@ -124,8 +124,8 @@ impl DirectionSet {
     }
 }
 
-/// Sine and cosine of π·`u` for `u` in [0, 1), to 1e−10: enough for f32, and a third of the time
-/// of the exact functions. Plain arithmetic, so that it is the same on every machine.
+/// Sine and cosine of π·`u` for `u` in [0, 1), to 1e−10, which is enough
+/// for f32. Plain arithmetic, so that it is the same on every machine.
 #[inline(always)]
 fn half_turn(u: f64) -> (f64, f64) {
     // With x = π(u − 1/2) in [−π/2, π/2), sin πu = cos x and cos πu = −sin x, by their series.
