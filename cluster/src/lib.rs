@@ -2,6 +2,7 @@
 //!
 //! A run is a *world* of ranks. The crate knows ranks and numbers, never what they mean.
 
+pub mod codec;
 mod world;
 
 pub use world::{Commit, World};
