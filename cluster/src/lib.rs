@@ -1,8 +1,20 @@
-//! Ranks and reductions: how the parts of a run talk to each other.
+//! Ranks, rounds of jobs and shared memory: how the parts of a run work together.
 //!
-//! A run is a *world* of ranks. The crate knows ranks and numbers, never what they mean.
+//! A run is a *world* of ranks (processes) that do *rounds* of jobs on memory that all of them
+//! see. The crate knows ranks, bytes and jobs, never what they mean.
+//!
+//! ```text
+//!  World::round ──► Board: which job is free      ◄── release_rank, ask_hold, ask_stop
+//!       │           claims, journals, counters          (who looks after the ranks)
+//!       ▼
+//!  work(job, parts) ──► Parts: what a job may change
+//! ```
 
 pub mod codec;
+pub mod faults;
+#[allow(unsafe_code, reason = "the room for it: every block says why it is sound")]
+pub mod shared;
+mod signal;
 mod world;
 
-pub use world::{Commit, World};
+pub use world::{Ends, World};

@@ -1,48 +1,296 @@
-//! The world of a run: which rank this is, and what all ranks do together.
+//! The world of a run: its ranks, and the rounds that they do together.
+//!
+//! A rank is a process with its threads. All ranks run the same program, a sequence of rounds
+//! with rising numbers; in each they take jobs from the board, their own by place first, then
+//! others'. A rank that comes late to a round that is over goes on to the next, so one that is
+//! started in the middle of a run catches up by itself.
 
-/// What all ranks agree on at the end of a step.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Commit {
-    /// The step holds: go on with its result.
-    Done,
-    /// The step holds, and is to be the last one.
-    Stop,
-}
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Instant;
+
+use rayon::prelude::*;
+
+use crate::faults::{Faults, Place};
+use crate::shared::{Board, Claim, Counter, Job, Shards};
 
 /// The ranks of a run, seen from one of them.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum World {
-    /// One rank, this process, whose threads share its memory.
-    Local,
+#[derive(Debug)]
+pub struct World {
+    board: Board,
+    rank: usize,
+    spins: u32,
+    faults: Option<Faults>,
 }
 
+/// What follows a round.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Ends {
+    /// Another round of the same step.
+    Half,
+    /// A step is over: here ranks can be held and stopped.
+    Step,
+}
+
+/// How often to look before one sleeps, while there is a core for every thread: about 100 µs. A
+/// sleeper costs whoever wakes it some microseconds, and itself more.
+const SPINS: u32 = 4000;
+
 impl World {
+    /// The world of a board, as a rank of it.
+    ///
+    /// # Panics
+    /// If there is no such rank.
+    pub fn new(board: Board, rank: usize, faults: Option<Faults>) -> Self {
+        let plan = board.plan();
+        assert!(rank < plan.ranks);
+        // More threads than cores must not spin: the one they wait for may need the core.
+        let cores = std::thread::available_parallelism().map_or(1, usize::from);
+        let spins = if plan.ranks * plan.threads > cores { 0 } else { SPINS };
+        Self { board, rank, spins, faults }
+    }
+
     /// This rank's number, from 0.
     pub fn rank(&self) -> usize {
-        match self {
-            Self::Local => 0,
-        }
+        self.rank
     }
 
     /// Number of ranks.
     pub fn size(&self) -> usize {
-        match self {
-            Self::Local => 1,
+        self.board.plan().ranks
+    }
+
+    /// Threads of each rank.
+    pub fn threads(&self) -> usize {
+        self.board.plan().threads
+    }
+
+    /// The board that deals out the jobs.
+    pub fn board(&self) -> &Board {
+        &self.board
+    }
+
+    /// The rank that did a job when it was last done.
+    pub fn last_rank(&self, job: usize) -> usize {
+        self.board.last_thread(job) / self.threads()
+    }
+
+    /// Tells that a job of this rank read bytes that another rank wrote.
+    pub fn read_from_others(&self, bytes: u64) {
+        if bytes > 0 {
+            self.count(Counter::Traffic, bytes);
         }
     }
 
-    /// Replaces every value by its sum over all ranks.
-    pub fn sum(&self, _values: &mut [i64]) {
-        match self {
-            Self::Local => (),
+    /// A place where faults made on purpose can happen.
+    #[inline]
+    pub fn fault(&self, place: Place) {
+        if let Some(faults) = &self.faults {
+            faults.at(place, &self.board);
         }
     }
 
-    /// Ends a step: every rank says whether it is to stop, and all learn what holds for all.
-    pub fn commit(&self, stop: bool) -> Commit {
-        match self {
-            Self::Local if stop => Commit::Stop,
-            Self::Local => Commit::Done,
+    fn count(&self, counter: Counter, by: u64) {
+        self.board.counter(self.rank, counter).fetch_add(by, Ordering::Relaxed);
+    }
+
+    /// Does `jobs` jobs together with all ranks, and returns when all are done; at once, if they
+    /// were before.
+    ///
+    /// `work` is called once for each job that this rank does, with its parts of the shards, by as
+    /// many threads at a time as a rank has (those of the current rayon pool, as far as there are
+    /// so many). A job that was cut off by a fault is done again, from the unit that it was in.
+    /// While a job is worked on, the round cannot end: what its rounds before wrote stays.
+    ///
+    /// Round numbers rise, and all ranks do the same rounds with the same parts.
+    ///
+    /// # Panics
+    /// If there are more jobs than the board has room for, or fewer parts than jobs.
+    pub fn round<S, W>(&self, round: u64, ends: Ends, jobs: usize, shards: S, work: W)
+    where
+        S: Shards,
+        W: Fn(&Job<'_>, S::Part) + Sync,
+    {
+        assert!(jobs <= self.board.plan().jobs, "{jobs} jobs on a board");
+        if self.board.completed() >= round {
+            return;
         }
+        self.board.wait_for_release(round, || self.fault(Place::Hold));
+        let own = self.own(jobs, self.rank);
+        let cursor = AtomicUsize::new(own.start);
+        let shift = Shift { world: self, round, ends, jobs, shards: &shards, work: &work };
+        loop {
+            let event = self.board.event();
+            match self.threads() {
+                1 => shift.work(0, &cursor, own.end),
+                threads => (0..threads)
+                    .into_par_iter()
+                    .with_max_len(1)
+                    .for_each(|thread| shift.work(thread, &cursor, own.end)),
+            }
+            if self.board.completed() >= round {
+                return;
+            }
+            if self.board.all_done(round, jobs) {
+                self.fault(Place::Commit);
+                self.board.complete(round);
+                return;
+            }
+            let begin = Instant::now();
+            self.board.wait(event, self.spins);
+            self.count(Counter::Waiting, begin.elapsed().as_nanos() as u64);
+        }
+    }
+
+    /// The jobs that are a rank's by place.
+    fn own(&self, jobs: usize, rank: usize) -> std::ops::Range<usize> {
+        jobs * rank / self.size()..jobs * (rank + 1) / self.size()
+    }
+}
+
+/// One rank's share in a round.
+struct Shift<'a, S, W> {
+    world: &'a World,
+    round: u64,
+    ends: Ends,
+    jobs: usize,
+    shards: &'a S,
+    work: &'a W,
+}
+
+impl<S, W> Shift<'_, S, W>
+where
+    S: Shards,
+    W: Fn(&Job<'_>, S::Part) + Sync,
+{
+    /// Does jobs until none is free: the rank's own from `cursor` to `end` first, then what others
+    /// have left, from their ends.
+    fn work(&self, thread: usize, cursor: &AtomicUsize, end: usize) {
+        loop {
+            let job = cursor.fetch_add(1, Ordering::Relaxed);
+            if job >= end {
+                break;
+            }
+            self.attempt(job, thread);
+        }
+        let size = self.world.size();
+        for other in (0..size).map(|next| (self.world.rank + next) % size) {
+            for job in self.world.own(self.jobs, other).rev() {
+                if self.attempt(job, thread) && other != self.world.rank {
+                    self.world.count(Counter::Taken, 1);
+                }
+            }
+        }
+    }
+
+    /// Does a job, if it is free.
+    fn attempt(&self, job: usize, thread: usize) -> bool {
+        let Self { world, round, .. } = *self;
+        let thread = world.rank * world.threads() + thread;
+        let Some(Claim { token, job }) = world.board.claim(round, job, thread) else {
+            return false;
+        };
+        let begin = Instant::now();
+        (self.work)(&job, self.shards.part(token));
+        if job.index() == 0 && self.ends == Ends::Step {
+            world.board.decide(round);
+        }
+        world.fault(Place::Commit);
+        job.finish();
+        world.count(Counter::Busy, begin.elapsed().as_nanos() as u64);
+        world.count(Counter::Jobs, 1);
+        true
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::shared::{Arena, BoardPlan, Header, Map};
+
+    /// The worlds of all ranks, in one process, over one file.
+    fn worlds(ranks: usize, threads: usize, jobs: usize) -> Vec<(World, Arena)> {
+        let plan = BoardPlan { ranks, threads, jobs, journal: 64 };
+        let file = tempfile::tempfile().unwrap();
+        let header = Header { len: plan.room() as u64 + (1 << 16), run: 1 };
+        Map::create(&file, header).unwrap();
+        (0..ranks)
+            .map(|rank| {
+                let mut arena = Arena::new(Map::open(&file, header).unwrap());
+                (World::new(Board::new(&mut arena, plan), rank, None), arena)
+            })
+            .collect()
+    }
+
+    #[test]
+    fn every_job_of_every_round_is_done_once_by_someone() {
+        const JOBS: usize = 37;
+        const ROUNDS: u64 = 300;
+        for (ranks, threads) in [(1, 1), (1, 4), (2, 1), (3, 2), (8, 1)] {
+            let sums: Vec<u64> = std::thread::scope(|scope| {
+                let run = |(world, mut arena): (World, Arena)| {
+                    let parts = |job| vec![job * 3..job * 3 + 1, job * 3 + 1..job * 3 + 3];
+                    let mut odd =
+                        arena.take(JOBS * 3 * 8).parts::<u64>((0..JOBS).map(parts).collect());
+                    let mut even =
+                        arena.take(JOBS * 3 * 8).parts::<u64>((0..JOBS).map(parts).collect());
+                    // A rank that is late finds some rounds over.
+                    std::thread::sleep(std::time::Duration::from_millis(world.rank() as u64));
+                    for round in 1..=ROUNDS {
+                        let (from, to) =
+                            if round % 2 == 1 { (&even, &mut odd) } else { (&odd, &mut even) };
+                        world.round(round, Ends::Step, JOBS, (to,), |job, (mut part,)| {
+                            let i = job.index();
+                            let before = from.whole()[i * 3] + from.whole()[(i + 1) % JOBS * 3 + 2];
+                            part.piece(0)[0] = before + 1;
+                            part.piece(1)[1] += round;
+                        });
+                    }
+                    let jobs = world.board().counter(world.rank(), Counter::Jobs);
+                    (even.whole().to_vec(), jobs.load(Ordering::Relaxed))
+                };
+                let handles: Vec<_> = worlds(ranks, threads, JOBS)
+                    .into_iter()
+                    .map(|it| scope.spawn(move || run(it)))
+                    .collect();
+                let results: Vec<_> = handles.into_iter().map(|it| it.join().unwrap()).collect();
+                let jobs: u64 = results.iter().map(|(_, jobs)| jobs).sum();
+                assert_eq!(jobs, JOBS as u64 * ROUNDS, "{ranks} ranks of {threads} threads");
+                assert!(results.iter().all(|(words, _)| *words == results[0].0));
+                results[0].0.clone()
+            });
+            // The same without jobs.
+            let (mut odd, mut even) = (vec![0_u64; JOBS * 3], vec![0_u64; JOBS * 3]);
+            for round in 1..=ROUNDS {
+                let (from, to) = if round % 2 == 1 { (&even, &mut odd) } else { (&odd, &mut even) };
+                for i in 0..JOBS {
+                    to[i * 3] = from[i * 3] + from[(i + 1) % JOBS * 3 + 2] + 1;
+                    to[i * 3 + 2] += round;
+                }
+            }
+            assert_eq!(sums, even, "{ranks} ranks of {threads} threads");
+        }
+    }
+
+    #[test]
+    fn a_job_whose_holder_died_is_done_by_who_waits_for_it() {
+        let mut worlds = worlds(2, 1, 4).into_iter();
+        let ((alive, _arena), (dead, _)) = (worlds.next().unwrap(), worlds.next().unwrap());
+        // Rank 1 claims a job and is not heard of again.
+        std::mem::forget(dead.board().claim(1, 3, 1).unwrap());
+        let done = AtomicUsize::new(0);
+        std::thread::scope(|scope| {
+            let waits = scope.spawn(|| {
+                alive.round(1, Ends::Step, 4, (), |_, ()| {
+                    done.fetch_add(1, Ordering::Relaxed);
+                });
+            });
+            std::thread::sleep(std::time::Duration::from_millis(50));
+            assert!(!waits.is_finished());
+            assert_eq!(done.load(Ordering::Relaxed), 3);
+            assert_eq!(dead.board().release_rank(1), 1);
+            waits.join().unwrap();
+        });
+        assert_eq!(done.load(Ordering::Relaxed), 4);
+        assert_eq!(alive.board().completed(), 1);
     }
 }
