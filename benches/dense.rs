@@ -16,8 +16,7 @@ use perceptile::draw::LevelSets;
 use perceptile::gradient::reference::{self, ReferenceDraw};
 use perceptile::gradient::simd::Simd;
 use perceptile::metric::Baseline;
-use perceptile::solver::{CellSamples, Descent};
-use perceptile_cluster::World;
+use perceptile::solver::{Descent, Samples};
 
 use common::dense::{Dense, DenseDraw};
 use common::{
@@ -73,10 +72,11 @@ fn measure(criterion: &mut Criterion, times: &Times) {
         });
     });
 
-    let start = CellSamples::from_tile(&tile, gradient.partition());
-    let mut descent = Descent::new(World::Local, gradient, ADAM, 10_000, Simd::detect(), &start);
-    let first = descent.step(0).1.mean();
-    let later = (1..100).map(|step| descent.step(step).1.mean()).last().unwrap_or(first);
+    let start = Samples::from_tile(&tile);
+    let mut descent =
+        Descent::alone(gradient, ADAM, 10_000, Simd::detect(), &start).expect("memory");
+    let first = descent.step(0).mean();
+    let later = (1..100).map(|step| descent.step(step).mean()).last().unwrap_or(first);
     assert!(later < 0.9 * first, "{first} -> {later}");
     let mut step = 100;
     group.bench_function("fast, whole step", |bencher| {

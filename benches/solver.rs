@@ -14,9 +14,8 @@ use perceptile::kernel::KernelTaps;
 use perceptile::metric::{Baseline, Class, Domain, ScoreOptions, Scorer};
 use perceptile::solver::adam::Update;
 use perceptile::solver::polish::{Polish, PolishOptions};
-use perceptile::solver::{CellSamples, Descent};
-use perceptile::tile::{Partition, Reach, Tile, TileShape};
-use perceptile_cluster::World;
+use perceptile::solver::{Descent, Samples};
+use perceptile::tile::{Tile, TileShape};
 
 use common::{ADAM, PAPER_DRAWS, PAPER_SIZE, gradient, paper_options, paper_taps, shape};
 
@@ -48,7 +47,7 @@ fn steps(criterion: &mut Criterion) {
         let shape = shape(size, 1, 2);
         let gradient = gradient(shape, &paper_taps(shape), paper_options(PAPER_DRAWS));
         let start = Baseline::White.tile(shape, 1);
-        let start = CellSamples::from_tile(&start, gradient.partition());
+        let start = Samples::from_tile(&start);
         let halves = Halves { begun: Instant::now(), met: Arc::default() };
         let mut group = criterion.benchmark_group(format!("step, {label}"));
         for threads in [1, 2] {
@@ -57,14 +56,14 @@ fn steps(criterion: &mut Criterion) {
             let (gradient, simd) = (gradient.clone(), Simd::detect());
             let mut descent = pool.install(|| {
                 let probe = || halves.clone();
-                Descent::probed(World::Local, gradient, ADAM, 10_000, simd, &start, probe)
+                Descent::probed(gradient, ADAM, 10_000, simd, &start, probe).expect("memory")
             });
             let mut step = 0;
             // The whole step, its pull, and its update.
             let mut times = || {
                 halves.met.store(0, Ordering::Relaxed);
                 let begun = halves.begun.elapsed();
-                let objective = pool.install(|| descent.step(step)).1;
+                let objective = pool.install(|| descent.step(step));
                 let ended = halves.begun.elapsed();
                 step = step % 9000 + 1;
                 let met = Duration::from_nanos(halves.met.load(Ordering::Relaxed));
@@ -122,15 +121,15 @@ fn adam(criterion: &mut Criterion) {
 fn polish(criterion: &mut Criterion) {
     let shape = shape([32, 32, 8], 1, 2);
     let taps = paper_taps(shape);
-    let partition = Partition::new(shape, Reach::default(), 1);
     let tile = Baseline::White.tile(shape, 1);
     let options = PolishOptions { steps: 1000, axis_weight: 0.2, linear_weight: 0.0, adam: ADAM };
-    let samples = CellSamples::from_tile(&tile, &partition);
-    let mut polish = Polish::new(&partition, &[(1.0, &taps)], options, Simd::detect(), &samples);
+    let samples = Samples::from_tile(&tile);
+    let mut polish =
+        Polish::alone(shape, &[(1.0, &taps)], options, Simd::detect(), &samples).expect("memory");
     (0..20).for_each(|step| polish.step(step));
     let scorer = scorer(shape, &taps);
     let edge = |tile: &Tile| edge(&scorer, tile);
-    let (before, after) = (edge(&tile), edge(&polish.samples().to_tile(&partition)));
+    let (before, after) = (edge(&tile), edge(&polish.samples().to_tile(shape)));
     assert!(after < 0.6 * before, "{before} -> {after}");
     let mut step = 20;
     criterion.bench_function("step of the polish, 32x32x8", |bencher| {

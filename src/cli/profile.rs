@@ -91,7 +91,7 @@ pub fn run(args: ProfileArgs) -> anyhow::Result<()> {
         .install(|| Profile::take(&subject, machine, rates, simd, args.measure, &mut counters))?;
     if let Some(path) = &args.trace {
         let (spans, steps) =
-            pool.install(|| measure::spans(&subject, simd, &subject.start(), MOST_EVENTS));
+            pool.install(|| measure::spans(&subject, simd, &subject.start(), MOST_EVENTS))?;
         write::write(path, existing, |out| {
             spans::write(out, threads, &spans, &steps, 2 * MOST_EVENTS as u64)
         })?;

@@ -140,6 +140,16 @@ impl Objective {
         self.directions += 1;
     }
 
+    /// What it is, in words that [`Self::from_words`] reads.
+    pub fn to_words(self) -> [u64; 2] {
+        [self.units as u64, self.directions]
+    }
+
+    /// The objective of [`Self::to_words`].
+    pub fn from_words([units, directions]: [u64; 2]) -> Self {
+        Self { units: units as i64, directions }
+    }
+
     /// Sum over the draws' directions of W₂².
     pub fn squared_distance(&self) -> f64 {
         self.units as f64 / Self::SCALE

@@ -5,6 +5,7 @@
 //! same on every machine.
 
 use glam::IVec3;
+use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::kernel::factor::Weights;
@@ -23,13 +24,30 @@ const MAX_WORK: usize = 1 << 28;
 const TIE: f64 = 1e-9;
 
 /// A kernel ready for use: its classes in the order of the description.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "Vec<KernelClass>", into = "Vec<KernelClass>")]
 pub struct Kernel {
     classes: Vec<KernelClass>,
 }
 
+impl TryFrom<Vec<KernelClass>> for Kernel {
+    type Error = TapsError;
+
+    fn try_from(classes: Vec<KernelClass>) -> Result<Self, TapsError> {
+        let share = |class: &KernelClass| class.weight > 0.0 && class.weight <= 1.0;
+        let known = !classes.is_empty() && classes.iter().all(share);
+        if known { Ok(Self { classes }) } else { Err(TapsError::Unscaled) }
+    }
+}
+
+impl From<Kernel> for Vec<KernelClass> {
+    fn from(kernel: Kernel) -> Self {
+        kernel.classes
+    }
+}
+
 /// One class of a mixture, resolved.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct KernelClass {
     /// Share of the draws that take this class; the shares of a mixture sum to 1.
     pub weight: f64,
@@ -45,7 +63,7 @@ pub struct KernelClass {
 ///
 /// Infinite factors end where they are below 1e−12 of their peak, and a Gaussian at its radius;
 /// what lies beyond is not counted.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Dropped {
     /// In all.
     pub total: f64,

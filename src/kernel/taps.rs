@@ -1,6 +1,7 @@
 //! A kernel as the optimizer and the scores use it: offsets with weights.
 
 use glam::IVec3;
+use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 /// Why a list of taps is not a kernel.
@@ -23,10 +24,13 @@ pub enum TapsError {
         /// The offset that they share.
         offset: IVec3,
     },
+    /// The taps of a kernel are in order and scaled to Σ|g| = 1, and these are not.
+    #[error("the taps are not those of a kernel")]
+    Unscaled,
 }
 
 /// One offset of a kernel with its weight.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Tap {
     /// `(dx, dy, dt)` in pixels and frames, from the pixel that is filtered to the one that is
     /// weighted; a frame in the past has a negative `dt`.
@@ -37,9 +41,29 @@ pub struct Tap {
 
 /// The taps of one kernel, sorted by falling magnitude of weight (ties by `dt`, `dy`, `dx`),
 /// scaled to Σ|g| = 1. The perceived error at pixel p is Σ weight · error(p + offset).
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "Vec<Tap>", into = "Vec<Tap>")]
 pub struct KernelTaps {
     taps: Vec<Tap>,
+}
+
+/// The taps of a kernel as they are, without scaling them anew: they keep their last digits.
+impl TryFrom<Vec<Tap>> for KernelTaps {
+    type Error = TapsError;
+
+    fn try_from(taps: Vec<Tap>) -> Result<Self, TapsError> {
+        let Self { taps: sorted } = Self::new(taps.iter().copied())?;
+        let mass: f64 = taps.iter().map(|tap| tap.weight.abs()).sum();
+        let falls = |pair: &[Tap]| pair[0].weight.abs() >= pair[1].weight.abs();
+        let kept = sorted.len() == taps.len() && taps.windows(2).all(falls);
+        if kept && (mass - 1.0).abs() < 1e-6 { Ok(Self { taps }) } else { Err(TapsError::Unscaled) }
+    }
+}
+
+impl From<KernelTaps> for Vec<Tap> {
+    fn from(kernel: KernelTaps) -> Self {
+        kernel.taps
+    }
 }
 
 impl KernelTaps {

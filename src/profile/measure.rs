@@ -8,6 +8,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
+use perceptile_cluster::shared::MapError;
 use serde::Serialize;
 
 use super::spans::{Span, SpanProbe};
@@ -15,7 +16,7 @@ use super::stages::{StageProbe, StageTimes};
 use super::subject::Subject;
 use crate::gradient::probe::{Probe, Stage, Unprobed};
 use crate::gradient::simd::Simd;
-use crate::solver::{CellSamples, Descent};
+use crate::solver::{Descent, Samples};
 use crate::tile::Layout;
 
 /// Steps before those that count.
@@ -75,20 +76,28 @@ fn steps<P: Probe>(descent: &mut Descent<P>, time: Duration, mut warm: impl FnMu
 
 /// Times steps in a layout for about `time`, without probes. To be called by a thread of the
 /// pool that is to do them, as all functions here.
+///
+/// # Errors
+/// If there is no memory for it, as all functions here.
 pub fn whole(
     subject: &Subject,
     layout: Layout,
     simd: Simd,
-    samples: &CellSamples,
+    samples: &Samples,
     time: Duration,
     warm: impl FnMut(),
-) -> Timing {
-    let mut descent = subject.descent(layout, simd, samples, || Unprobed);
-    steps(&mut descent, time, warm)
+) -> Result<Timing, MapError> {
+    let mut descent = subject.descent(layout, simd, samples, || Unprobed)?;
+    Ok(steps(&mut descent, time, warm))
 }
 
 /// Times the stages for about `time`.
-pub fn stages(subject: &Subject, simd: Simd, samples: &CellSamples, time: Duration) -> StageTiming {
+pub fn stages(
+    subject: &Subject,
+    simd: Simd,
+    samples: &Samples,
+    time: Duration,
+) -> Result<StageTiming, MapError> {
     let threads = rayon::current_num_threads();
     let counting = Arc::new(AtomicU32::new(0));
     let probe = || ByThread {
@@ -98,7 +107,7 @@ pub fn stages(subject: &Subject, simd: Simd, samples: &CellSamples, time: Durati
         counting: counting.clone(),
         counted: false,
     };
-    let mut descent = subject.descent(Layout::Rows, simd, samples, probe);
+    let mut descent = subject.descent(Layout::Rows, simd, samples, probe)?;
     let timing = steps(&mut descent, time, || counting.store(1, Ordering::Relaxed));
     let look = look();
     let per_step = 1.0 / f64::from(timing.steps);
@@ -121,7 +130,7 @@ pub fn stages(subject: &Subject, simd: Simd, samples: &CellSamples, time: Durati
         let busy = stages.iter().sum::<f64>() + clock;
         stages[Stage::Waiting as usize] = (timing.seconds * 1e9 - busy).max(0.0);
     }
-    StageTiming { timing, threads: table, clock, look }
+    Ok(StageTiming { timing, threads: table, clock, look })
 }
 
 /// A probe that tells apart which thread it is lent to.
@@ -181,14 +190,14 @@ pub const DETAILED: u32 = 2;
 pub fn spans(
     subject: &Subject,
     simd: Simd,
-    samples: &CellSamples,
+    samples: &Samples,
     most: usize,
-) -> (Vec<Span>, Vec<(Duration, Duration)>) {
+) -> Result<(Vec<Span>, Vec<(Duration, Duration)>), MapError> {
     let step = Arc::new(AtomicU32::new(0));
     let threads = rayon::current_num_threads();
     let begun = Instant::now();
     let probe = || SpanProbe::new(begun, step.clone(), DETAILED, most / threads);
-    let mut descent = subject.descent(Layout::Rows, simd, samples, probe);
+    let mut descent = subject.descent(Layout::Rows, simd, samples, probe)?;
     let mut whole = Vec::new();
     for number in 0..TRACED {
         step.store(number, Ordering::Relaxed);
@@ -204,5 +213,5 @@ pub fn spans(
     }
     whole.iter_mut().for_each(|(start, _)| *start -= origin);
     spans.sort_by_key(|span| (span.thread, span.start));
-    (spans, whole)
+    Ok((spans, whole))
 }

@@ -3,6 +3,7 @@
 use std::fmt::{self, Write};
 use std::time::Duration;
 
+use perceptile_cluster::shared::MapError;
 use serde::Serialize;
 use thiserror::Error;
 
@@ -28,6 +29,9 @@ pub enum ProfileError {
     /// The caches of the machine cannot be modelled.
     #[error("the caches of this machine cannot be modelled: {0}")]
     Cache(#[from] CacheError),
+    /// There is no memory for the descent.
+    #[error(transparent)]
+    Memory(#[from] MapError),
 }
 
 /// A stage of a mean step.
@@ -121,7 +125,7 @@ impl Profile {
         let draws = subject.options().draw.draws;
         let mut before = counters.snapshot();
         let warm = || before = counters.snapshot();
-        let whole = measure::whole(subject, crate::tile::Layout::Rows, simd, &samples, time, warm);
+        let whole = measure::whole(subject, crate::tile::Layout::Rows, simd, &samples, time, warm)?;
         let readings = counters.snapshot().since(&before);
         let counted = draws as f64 * f64::from(whole.steps);
         let counters = readings
@@ -134,7 +138,7 @@ impl Profile {
                 CounterRow { event, per_draw, reading }
             })
             .collect();
-        let probed = measure::stages(subject, simd, &samples, time);
+        let probed = measure::stages(subject, simd, &samples, time)?;
         let levels = machine.levels();
         let mut layouts = access::compare(subject, &levels)?;
         let per_draw =
@@ -144,7 +148,7 @@ impl Profile {
                 (_, None) => None,
                 (Arrangement::Rows, _) => Some(per_draw(whole)),
                 (_, Some(layout)) => {
-                    Some(per_draw(measure::whole(subject, layout, simd, &samples, time, || ())))
+                    Some(per_draw(measure::whole(subject, layout, simd, &samples, time, || ())?))
                 }
             };
         }

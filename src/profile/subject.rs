@@ -1,15 +1,16 @@
 //! The descent of a run, taken apart into what the profile looks at.
 
-use perceptile_cluster::World;
 use serde::Serialize;
+
+use perceptile_cluster::shared::MapError;
 
 use crate::draw::{CellDraws, Draws};
 use crate::gradient::probe::Probe;
 use crate::gradient::simd::Simd;
 use crate::gradient::{Gradient, Quantum, RunTables};
 use crate::kernel::Kernel;
-use crate::run::phases::levels;
-use crate::solver::{BLOCKS_PER_THREAD, CellSamples, Descent, Options, OptionsError, start};
+use crate::run::program::levels;
+use crate::solver::{BLOCKS_PER_THREAD, Descent, Options, OptionsError, Samples, start};
 use crate::tile::{Block, Layout, Partition, Rows, TileShape};
 
 /// Bytes of a word: samples, pulls and moments are all of this size.
@@ -145,22 +146,25 @@ impl Subject {
     }
 
     /// Samples to start from.
-    pub fn start(&self) -> CellSamples {
-        start::random(&self.partition, self.options.seed, World::Local)
+    pub fn start(&self) -> Samples {
+        start::random(&self.partition, self.options.seed)
     }
 
     /// The descent itself, in a layout and with probes; to be called by a thread of the pool that
     /// is to do it.
+    ///
+    /// # Errors
+    /// If there is no memory for it.
     pub fn descent<P: Probe>(
         &self,
         layout: Layout,
         simd: Simd,
-        samples: &CellSamples,
+        samples: &Samples,
         probe: impl Fn() -> P,
-    ) -> Descent<P> {
+    ) -> Result<Descent<P>, MapError> {
         let (draws, partition) = (self.draws.clone(), self.partition.clone());
         let gradient = Gradient::new(draws, partition, self.quantum, simd).with_layout(layout);
         let Options { adam, steps, .. } = self.options;
-        Descent::probed(World::Local, gradient, adam, steps, simd, samples, probe)
+        Descent::probed(gradient, adam, steps, simd, samples, probe)
     }
 }

@@ -4,7 +4,7 @@ use thiserror::Error;
 
 use crate::draw::{Direction, Draw};
 use crate::kernel::Kernel;
-use crate::run::phases::levels;
+use crate::run::program::levels;
 use crate::solver::{BLOCKS_PER_THREAD, Options};
 use crate::tile::{Partition, Reach};
 

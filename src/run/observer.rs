@@ -13,6 +13,8 @@ pub struct Progress {
     pub of: u32,
     /// Mean W₂² of the draws of the last steps, as far as there are any.
     pub objective: Option<f64>,
+    /// Worker processes, and those that were replaced so far; none for threads of this process.
+    pub workers: Option<(usize, usize)>,
 }
 
 /// Someone who watches a run and may end it. Called between steps, never by two threads at once.

@@ -1,21 +1,27 @@
 //! The optimizer: from a start to a tile.
 //!
 //! [`Options`] say what to make and [`start`] where to begin; [`Descent`] is the paper's method, one
-//! step at a time, with [`adam`]; [`polish`] goes beyond it; [`warp`] makes the tile uniform. The
-//! loop knows neither storage nor screen: it works on the cells of one rank and hands samples on
-//! in cell order ([`CellSamples`]).
+//! step at a time, with [`adam`]; [`polish`] goes beyond it; [`warp`] makes the tile uniform. All
+//! of them are rounds of jobs on a [`Storage`] that the ranks of a world share, numbered by
+//! [`rounds`]; the loop knows neither files nor screen. Phases hand samples on in line order
+//! ([`Samples`]).
 
 pub mod adam;
 mod options;
-mod pages;
 pub mod polish;
+pub mod rounds;
+mod samples;
 pub mod start;
 mod state;
 mod step;
+mod storage;
 mod summary;
 pub mod warp;
 
 pub use options::{MAX_POLISH_TAPS, Options, OptionsError, Preset, Start};
-pub use state::CellSamples;
+pub use samples::Samples;
+pub(crate) use samples::tile_of;
+pub use state::{Onlooker, Snapshot};
 pub use step::{BLOCKS_PER_THREAD, Descent};
+pub use storage::{Record, Storage, StoragePlan, Team};
 pub use summary::{Phase, StopReason, Summary};

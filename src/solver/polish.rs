@@ -13,15 +13,22 @@
 //! Every sample's gradient is summed by one thread in the order of the offsets, so no order of
 //! execution can change it.
 
+use std::sync::Arc;
+
 use glam::IVec3;
-use rayon::prelude::*;
+use perceptile_cluster::faults::Place;
+use perceptile_cluster::shared::{MapError, Parts, Section, Words};
+use perceptile_cluster::{Ends, World};
 use serde::{Deserialize, Serialize};
 
 use crate::gradient::simd::{Isa, Simd, Vectorized};
 use crate::kernel::KernelTaps;
 use crate::solver::adam::AdamOptions;
-use crate::solver::state::{CellSamples, State};
-use crate::tile::{Partition, Reach, Rows};
+use crate::solver::rounds::{self, Half};
+use crate::solver::state::{Line, Snapshot, State, by_line};
+use crate::solver::storage::{Found, Record, Storage, StoragePlan, Team};
+use crate::solver::{Phase, Samples};
+use crate::tile::{Partition, Reach, Rows, TileShape};
 
 /// How the polish is done.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -71,9 +78,17 @@ fn autocorrelation(classes: &[(f64, &KernelTaps)], frames: usize) -> Vec<(IVec3,
 /// Lines of the tile that a thread works on at a time, in all frames.
 const BAND: usize = 8;
 
+/// Offsets of a mixture of kernels that see each other, with their weights.
+fn offsets(classes: &[(f64, &KernelTaps)], frames: usize) -> Vec<(IVec3, f64)> {
+    let mut all = autocorrelation(classes, frames);
+    let least = LEAST_WEIGHT * classes.iter().map(|(weight, _)| weight).sum::<f64>();
+    all.retain(|(_, g)| g.abs() >= least);
+    all
+}
+
 /// Full-batch descent on the energy.
 pub struct Polish {
-    partition: Partition,
+    world: Arc<World>,
     options: PolishOptions,
     simd: Simd,
     state: State,
@@ -84,42 +99,66 @@ pub struct Polish {
     total: f32,
     density: Density,
     /// Downhill gradient in the order of the rows, without copies.
-    pulls: Vec<f32>,
+    pulls: Parts<f32>,
+    found: Arc<Found>,
+    makers: Arc<Words>,
+    record: Arc<Record>,
+    counts: [Section; 2],
 }
 
 impl Polish {
-    /// Prepares the descent from `samples` for a mixture of kernels with weights.
-    pub fn new(
-        partition: &Partition,
+    /// Prepares the descent from `samples` for a mixture of kernels with weights, by the threads
+    /// of the current pool.
+    ///
+    /// # Errors
+    /// If there is no memory for it.
+    pub fn alone(
+        shape: TileShape,
         classes: &[(f64, &KernelTaps)],
         options: PolishOptions,
         simd: Simd,
-        samples: &CellSamples,
-    ) -> Self {
-        let mut all = autocorrelation(classes, partition.shape().frames());
-        let least = LEAST_WEIGHT * classes.iter().map(|(weight, _)| weight).sum::<f64>();
-        all.retain(|(_, g)| g.abs() >= least);
-        Self::with_offsets(partition, all, options, simd, samples)
+        samples: &Samples,
+    ) -> Result<Self, MapError> {
+        Self::with_offsets(shape, offsets(classes, shape.frames()), options, simd, samples)
     }
 
     /// The same for an autocorrelation.
     fn with_offsets(
-        partition: &Partition,
+        shape: TileShape,
         all: Vec<(IVec3, f64)>,
         options: PolishOptions,
         simd: Simd,
-        samples: &CellSamples,
+        samples: &Samples,
+    ) -> Result<Self, MapError> {
+        let plan = StoragePlan::new(&Partition::new(shape, Reach::default(), 1), Team::alone());
+        let (world, mut storage) = plan.with_polish(reach(&all)).private()?;
+        storage.tile_mut(shape).copy_from_slice(&samples.words);
+        Ok(Self::on(world, storage, shape, all, options, (simd, true)))
+    }
+
+    /// Prepares the descent from the samples that lie in the storage, by all ranks of a world; a
+    /// `fresh` one, or one that goes on with the moments that are there.
+    pub fn enter(
+        world: Arc<World>,
+        storage: Storage,
+        shape: TileShape,
+        classes: &[(f64, &KernelTaps)],
+        options: PolishOptions,
+        (simd, fresh): (Simd, bool),
     ) -> Self {
-        let shape = partition.shape();
-        let far = |of: fn(&IVec3) -> i32| {
-            all.iter().map(|(o, _)| of(o)).max().unwrap_or(0).max(0) as usize
-        };
-        let reach = Reach {
-            left: far(|o| -o.x),
-            right: far(|o| o.x),
-            up: far(|o| -o.y),
-            down: far(|o| o.y),
-        };
+        let all = offsets(classes, shape.frames());
+        Self::on(world, storage, shape, all, options, (simd, fresh))
+    }
+
+    fn on(
+        world: Arc<World>,
+        storage: Storage,
+        shape: TileShape,
+        all: Vec<(IVec3, f64)>,
+        options: PolishOptions,
+        (simd, fresh): (Simd, bool),
+    ) -> Self {
+        let rows = Rows::new(shape, reach(&all));
         let total: f64 = all.iter().map(|(_, g)| g).sum();
         let own = all.iter().find(|(o, _)| *o == IVec3::ZERO).map_or(0.0, |(_, g)| *g);
         let pairs = all
@@ -127,53 +166,81 @@ impl Polish {
             .filter(|(o, _)| *o != IVec3::ZERO)
             .map(|(offset, g)| Pair { offset, weight: g as f32 })
             .collect();
+        let Storage { samples, first, second, work, counts, found, makers, record } = storage;
+        let sections = [samples, first, second];
+        let line = rows.own() * shape.frames();
+        let state = State::enter(&world, Phase::Polish, rows, sections, work.slice(), fresh);
+        let band =
+            |y: usize| std::iter::once(y * line..(y + BAND).min(shape.height()) * line).collect();
         Self {
-            partition: partition.clone(),
+            world,
             options,
             simd,
-            state: State::new(Rows::new(shape, reach), partition, samples),
+            state,
             pairs,
             own: own as f32,
             total: (total * shape.spp() as f64) as f32,
             density: Density::new(),
-            pulls: vec![0.0; shape.coordinates()],
+            pulls: work.parts((0..shape.height()).step_by(BAND).map(band).collect()),
+            found,
+            makers,
+            record,
+            counts,
         }
+    }
+
+    /// Hands the samples on to the next phase.
+    pub fn leave(self) -> Storage {
+        let Self { world, state, pulls, found, makers, record, counts, .. } = self;
+        let shape = state.rows.shape();
+        let words = state.rows.own() * shape.frames();
+        let mut plain = by_line(pulls.into_section(), words, shape.height());
+        let [samples, first, second] = state.leave(&world, Phase::Polish, &mut plain);
+        let work = plain.into_section();
+        Storage { samples, first, second, work, counts, found, makers, record }
     }
 
     /// Does step number `step`.
     pub fn step(&mut self, step: u32) {
-        self.pull();
-        let Self { options, simd, state, pulls, .. } = self;
+        self.pull(step);
+        let Self { world, options, simd, state, pulls, .. } = self;
         let factors = options.adam.factors(step, options.steps, 1.0);
-        let own = state.rows().own();
-        let line = own * state.rows().shape().frames();
-        state.lines_mut().zip(pulls.par_chunks(line)).for_each(|(mut line, pulls)| {
-            for (t, pulls) in pulls.chunks(own).enumerate() {
-                line.update(t, factors, pulls, *simd);
+        let (rows, shards) = state.shards();
+        let (frames, own, height) = (rows.shape().frames(), rows.own(), rows.shape().height());
+        let pulls = pulls.whole();
+        let round = rounds::step(Phase::Polish, step, Half::Update);
+        world.round(round, Ends::Step, height, shards, |job, shards| {
+            let mut line = Line::new(rows, shards, job.units_done());
+            for t in job.units_done()..frames {
+                let row = job.index() * frames + t;
+                line.update((world, job), t, factors, &pulls[row * own..][..own], *simd);
             }
         });
-        state.close();
     }
 
-    /// Goes on from other samples, with the moments as they are.
-    pub fn replace(&mut self, samples: &CellSamples) {
-        self.state.replace(&self.partition, samples);
+    /// Goes on from other samples, with the moments as they are; for a polish of one rank.
+    pub fn replace(&mut self, samples: &Samples) {
+        self.state.replace(&samples.words);
     }
 
     /// The samples as of the last step.
-    pub fn samples(&self) -> CellSamples {
-        self.state.cell_samples(&self.partition)
+    pub fn samples(&self) -> Samples {
+        Samples { words: self.state.line_order() }
     }
 
-    fn pull(&mut self) {
-        let Self { state, pairs, density, pulls, simd, own, total, options, .. } = self;
-        let rows = state.rows();
+    fn pull(&mut self, step: u32) {
+        let Self { world, state, pairs, density, pulls, simd, own, total, options, .. } = self;
+        let rows = &state.rows;
+        let samples = state.samples.whole();
         let shape = rows.shape();
         let PolishOptions { axis_weight, linear_weight, .. } = *options;
         let terms = Terms { axis: axis_weight as f32, linear: linear_weight as f32 };
         let line = rows.own() * shape.frames();
-        pulls.par_chunks_mut(BAND * line).enumerate().for_each(|(band, pulls)| {
-            let planes = Planes::new(rows, state.samples(), band * BAND, pulls.len() / line);
+        let round = rounds::step(Phase::Polish, step, Half::Pull);
+        let bands = shape.height().div_ceil(BAND);
+        world.round(round, Ends::Half, bands, (pulls,), |job, (mut pulls,)| {
+            let (band, pulls) = (job.index(), pulls.piece(0));
+            let planes = Planes::new(rows, samples, band * BAND, pulls.len() / line);
             pulls.fill(0.0);
             for t in 0..shape.frames() {
                 // The rows of frame t: where each pair's other row starts.
@@ -197,9 +264,32 @@ impl Polish {
                     density,
                 };
                 simd.run(FrameJob { frame, pulls: &mut *pulls });
+                world.fault(Place::Pull);
             }
         });
     }
+}
+
+impl Snapshot for Polish {
+    fn samples(&self) -> Vec<f32> {
+        self.state.line_order()
+    }
+
+    fn moments(&self) -> [&[f32]; 2] {
+        self.state.moments()
+    }
+}
+
+/// How far samples of a mixture of kernels see each other in the polish.
+pub fn sight(classes: &[(f64, &KernelTaps)], frames: usize) -> Reach {
+    reach(&offsets(classes, frames))
+}
+
+/// How far offsets reach in x and y.
+fn reach(all: &[(IVec3, f64)]) -> Reach {
+    let far =
+        |of: fn(&IVec3) -> i32| all.iter().map(|(o, _)| of(o)).max().unwrap_or(0).max(0) as usize;
+    Reach { left: far(|o| -o.x), right: far(|o| o.x), up: far(|o| -o.y), down: far(|o| o.y) }
 }
 
 /// Samples of a band of lines and around it, taken apart: one plane for each number of a pixel,
@@ -531,11 +621,10 @@ mod tests {
         let adam =
             AdamOptions { rate: 0.01, final_rate: 0.0, beta1: 0.9, beta2: 0.99, epsilon: 1e-8 };
         let options = PolishOptions { steps: 10, axis_weight: 0.3, linear_weight: 0.7, adam };
-        let partition = Partition::new(tile.shape(), Reach::default(), 1);
-        let samples = CellSamples::from_tile(tile, &partition);
+        let samples = Samples::from_tile(tile);
         // With all offsets: the slow energy leaves none out.
         let all = autocorrelation(classes, tile.shape().frames());
-        Polish::with_offsets(&partition, all, options, simd, &samples)
+        Polish::with_offsets(tile.shape(), all, options, simd, &samples).unwrap()
     }
 
     #[test]
@@ -553,11 +642,11 @@ mod tests {
             let classes: Vec<_> =
                 kernel.classes().iter().map(|class| (class.weight, &class.taps)).collect();
             let mut fast = polish(&tile, &classes, Simd::detect());
-            fast.pull();
+            fast.pull(0);
             // The pulls in C order.
             let mut pulls = vec![0.0_f64; shape.coordinates()];
             let own = width * spp * dims;
-            for (row, words) in fast.pulls.chunks(own).enumerate() {
+            for (row, words) in fast.pulls.whole()[..pulls.len()].chunks(own).enumerate() {
                 let to = shape.pixel(0, row / frames, row % frames) * spp * dims;
                 (0..own).for_each(|k| pulls[to + k] = f64::from(words[k]));
             }
@@ -580,9 +669,10 @@ mod tests {
             assert!(largest > 0.5, "{shape}: slopes up to {largest} only");
 
             let mut plain = polish(&tile, &classes, Simd::plain());
-            plain.pull();
-            let bits =
-                |polish: &Polish| polish.pulls.iter().map(|x| x.to_bits()).collect::<Vec<_>>();
+            plain.pull(0);
+            let bits = |polish: &Polish| {
+                polish.pulls.whole()[..pulls.len()].iter().map(|x| x.to_bits()).collect::<Vec<_>>()
+            };
             assert_eq!(bits(&plain), bits(&fast));
         }
     }

@@ -2,24 +2,23 @@
 //!
 //! Every cell makes its own start from (seed, cell), so that no process needs another's.
 
-use perceptile_cluster::World;
 use rand::seq::SliceRandom;
 
 use crate::draw::{Stream, Use};
-use crate::solver::state::CellSamples;
+use crate::solver::Samples;
 use crate::tile::{Partition, clamp_coordinate};
 
 /// Independent uniform samples.
-pub fn random(partition: &Partition, seed: u64, world: World) -> CellSamples {
-    each_cell(partition, seed, world, |stream, words, _| {
+pub fn random(partition: &Partition, seed: u64) -> Samples {
+    each_cell(partition, seed, |stream, words, _| {
         words.iter_mut().for_each(|x| *x = clamp_coordinate(stream.unit() as f32));
     })
 }
 
 /// Every coordinate stratified over the samples of each cell: of n samples, the k-th in a random
 /// order (one for each dimension) is uniform in [k/n, (k+1)/n].
-pub fn stratified(partition: &Partition, seed: u64, world: World) -> CellSamples {
-    each_cell(partition, seed, world, |stream, words, dims| {
+pub fn stratified(partition: &Partition, seed: u64) -> Samples {
+    each_cell(partition, seed, |stream, words, dims| {
         let samples = words.len() / dims;
         let mut order: Vec<usize> = (0..samples).collect();
         for k in 0..dims {
@@ -35,19 +34,25 @@ pub fn stratified(partition: &Partition, seed: u64, world: World) -> CellSamples
 fn each_cell(
     partition: &Partition,
     seed: u64,
-    world: World,
     mut make: impl FnMut(&mut Stream, &mut [f32], usize),
-) -> CellSamples {
+) -> Samples {
     let shape = partition.shape();
+    let pixel = shape.spp() * shape.dims();
+    let mut samples = Samples { words: vec![0.0; shape.coordinates()] };
     let mut words = Vec::new();
-    for cell in partition.owned(world.rank()) {
-        let start = words.len();
-        let samples = partition.cell(cell).pixels(shape.frames()) * shape.spp();
-        words.resize(start + samples * shape.dims(), 0.0);
-        let mut stream = Stream::new(seed, Use::Start, cell as u32, 0);
-        make(&mut stream, &mut words[start..], shape.dims());
+    for index in 0..partition.cells() {
+        let cell = partition.cell(index);
+        words.clear();
+        words.resize(cell.pixels(shape.frames()) * pixel, 0.0);
+        let mut stream = Stream::new(seed, Use::Start, index as u32, 0);
+        make(&mut stream, &mut words, shape.dims());
+        for (row, from) in words.chunks_exact(cell.width * pixel).enumerate() {
+            let (t, y) = (row / cell.height, cell.y + row % cell.height);
+            let to = ((y * shape.frames() + t) * shape.width() + cell.x) * pixel;
+            samples.words[to..to + from.len()].copy_from_slice(from);
+        }
     }
-    CellSamples { words }
+    samples
 }
 
 #[cfg(test)]
@@ -59,11 +64,17 @@ mod tests {
     fn a_stratified_start_has_one_coordinate_in_each_stratum() {
         let shape = TileShape::new(20, 40, 3, 2, 3).unwrap();
         let partition = Partition::new(shape, Reach::default(), 1);
-        let mut words = &stratified(&partition, 5, World::Local).words[..];
-        for cell in 0..partition.cells() {
-            let samples = partition.cell(cell).pixels(3) * 2;
-            let (points, rest) = words.split_at(samples * 3);
-            words = rest;
+        let tile = stratified(&partition, 5).to_tile(shape);
+        for cell in (0..partition.cells()).map(|cell| partition.cell(cell)) {
+            let samples = cell.pixels(3) * 2;
+            let mut points = Vec::new();
+            for t in 0..3 {
+                for (y, x) in (cell.y..cell.y + cell.height)
+                    .flat_map(|y| (cell.x..cell.x + cell.width).map(move |x| (y, x)))
+                {
+                    (0..2).for_each(|s| points.extend(tile.point(x, y, t, s)));
+                }
+            }
             for k in 0..3 {
                 let mut column: Vec<f32> = points.chunks(3).map(|point| point[k]).collect();
                 column.sort_by(f32::total_cmp);
@@ -73,6 +84,5 @@ mod tests {
                 }
             }
         }
-        assert!(words.is_empty());
     }
 }

@@ -2,171 +2,238 @@
 //!
 //! A step changes them in place, line by line. Writing into a second copy, so that a step could be
 //! done again from its start, made the steps of the paper's tile half as long again: with it the
-//! state outgrows the third-level cache. One process has nobody who could fail half-way; where
-//! somebody can, a line that is written down before it is changed is enough.
+//! state outgrows the third-level cache. Where a rank can be lost, a row is written down before it
+//! is changed instead, and the one that was under way is put back ([`Job::unit`]).
 
-use rayon::prelude::*;
+use perceptile_cluster::shared::{Job, Part, Parts, Section};
+use perceptile_cluster::{Ends, World, faults::Place};
 
 use crate::gradient::simd::Simd;
 use crate::solver::adam::{Factors, Pull, Update};
-use crate::solver::pages::Pages;
-use crate::tile::{Cell, Partition, Rows, SLACK, Tile};
+use crate::solver::{Phase, Storage, rounds};
+use crate::tile::{Reach, Rows, TileShape};
 
-/// The samples of a rank's cells in *cell order* (cell after cell, each in C order).
-///
-/// This is what phases hand on to each other.
-#[derive(Debug, Clone, PartialEq)]
-pub struct CellSamples {
-    /// The coordinates.
-    pub words: Vec<f32>,
-}
+/// The state of a phase between two steps.
+pub trait Snapshot {
+    /// The samples, in line order.
+    fn samples(&self) -> Vec<f32>;
 
-impl CellSamples {
-    /// The samples of all cells of a whole tile.
-    ///
-    /// # Panics
-    /// If the partition is of another shape.
-    pub fn from_tile(tile: &Tile, partition: &Partition) -> Self {
-        assert_eq!(tile.shape(), partition.shape());
-        let shape = tile.shape();
-        let pixel = shape.spp() * shape.dims();
-        let mut words = Vec::with_capacity(tile.samples().len());
-        visit_rows(partition, |x, y, t, width| {
-            let start = shape.pixel(x, y, t) * pixel;
-            words.extend(&tile.samples()[start..start + width * pixel]);
-        });
-        Self { words }
-    }
-
-    /// The whole tile, if these are all its cells.
-    ///
-    /// # Panics
-    /// If they are not.
-    pub fn to_tile(&self, partition: &Partition) -> Tile {
-        let shape = partition.shape();
-        let pixel = shape.spp() * shape.dims();
-        let mut samples = vec![0.0; shape.coordinates()];
-        let mut words = &self.words[..];
-        visit_rows(partition, |x, y, t, width| {
-            let start = shape.pixel(x, y, t) * pixel;
-            let (row, rest) = words.split_at(width * pixel);
-            samples[start..start + row.len()].copy_from_slice(row);
-            words = rest;
-        });
-        Tile::new(shape, samples).expect("coordinates are kept in [0, 1) by one rule")
-    }
-}
-
-/// Calls `row(x, y, t, width)` for the rows of all cells in cell order, with their first pixel.
-fn visit_rows(partition: &Partition, mut row: impl FnMut(usize, usize, usize, usize)) {
-    for cell in 0..partition.cells() {
-        let Cell { x, y: top, width, height } = partition.cell(cell);
-        for t in 0..partition.shape().frames() {
-            (top..top + height).for_each(|y| row(x, y, t, width));
-        }
-    }
+    /// Adam's moments, in line order.
+    fn moments(&self) -> [&[f32]; 2];
 }
 
 /// Samples and Adam's moments of a tile.
 #[derive(Debug)]
 pub(crate) struct State {
-    rows: Rows,
-    samples: Pages<f32>,
+    pub rows: Rows,
+    /// Each line with its copies above the tile and below it.
+    pub samples: Parts<f32>,
     /// Moments in the order of the rows, without the copies around them.
-    first: Pages<f32>,
-    second: Pages<f32>,
+    pub first: Parts<f32>,
+    pub second: Parts<f32>,
+}
+
+/// Gives every line of `words` its words.
+pub(crate) fn by_line(section: Section, words: usize, lines: usize) -> Parts<f32> {
+    let line = |y| std::iter::once(y * words..(y + 1) * words).collect();
+    section.parts((0..lines).map(line).collect())
 }
 
 impl State {
-    /// The state before the first step.
-    pub fn new(rows: Rows, partition: &Partition, samples: &CellSamples) -> Self {
-        let coordinates = rows.shape().coordinates();
+    /// Takes over the samples that lie in `plain`, in line order. The moments are set to zero in
+    /// a `fresh` phase, and left as they are in one that goes on.
+    pub fn enter(
+        world: &World,
+        phase: Phase,
+        rows: Rows,
+        [samples, first, second]: [Section; 3],
+        plain: &[f32],
+        fresh: bool,
+    ) -> Self {
+        let shape = rows.shape();
+        let own = rows.own();
+        let words = own * shape.frames();
+        let lines = (0..shape.height()).map(|y| rows.line_and_copies(y)).collect();
         let mut state = Self {
-            samples: Pages::zeros(rows.words() + SLACK),
-            first: Pages::zeros(coordinates),
-            second: Pages::zeros(coordinates),
+            samples: samples.parts(lines),
+            first: by_line(first, words, shape.height()),
+            second: by_line(second, words, shape.height()),
             rows,
         };
-        state.replace(partition, samples);
+        let (rows, shards) = state.shards();
+        let round = rounds::enter(phase);
+        world.round(round, Ends::Half, shape.height(), shards, |job, shards| {
+            let y = job.index();
+            let mut line = Line::new(rows, shards, 0);
+            for t in 0..shape.frames() {
+                line.put(t, &plain[y * words + t * own..][..own]);
+            }
+            world.fault(Place::Exchange);
+            if fresh {
+                line.first.fill(0.0);
+                line.second.fill(0.0);
+            }
+        });
         state
     }
 
-    /// Replaces the samples, and keeps the moments.
-    pub fn replace(&mut self, partition: &Partition, samples: &CellSamples) {
-        let mut words = &samples.words[..];
-        let Self { rows, samples, .. } = self;
-        let pixel = rows.pixel();
-        visit_rows(partition, |x, y, t, width| {
-            let (row, rest) = words.split_at(width * pixel);
-            let start = rows.word(x, y, t);
-            samples[start..start + row.len()].copy_from_slice(row);
-            words = rest;
+    /// Writes the samples to `plain` in line order, and gives the sections back.
+    pub fn leave(self, world: &World, phase: Phase, plain: &mut Parts<f32>) -> [Section; 3] {
+        let Self { rows, samples, first, second } = self;
+        let (shape, own) = (rows.shape(), rows.own());
+        let from = samples.whole();
+        let round = rounds::leave(phase);
+        world.round(round, Ends::Half, shape.height(), (plain,), |job, (mut line,)| {
+            let words = line.piece(0).chunks_exact_mut(own);
+            world.fault(Place::Exchange);
+            for (t, row) in words.enumerate() {
+                row.copy_from_slice(&from[rows.word(0, job.index(), t)..][..own]);
+            }
         });
-        samples[rows.lines()].chunks_mut(rows.stride()).for_each(|row| rows.close_row(row));
+        [samples.into_section(), first.into_section(), second.into_section()]
+    }
+
+    /// How the samples lie, and all that a step changes.
+    pub fn shards(&mut self) -> (&Rows, Shards<'_>) {
+        let Self { rows, samples, first, second } = self;
+        (rows, (samples, first, second))
+    }
+
+    /// The samples in line order.
+    pub fn line_order(&self) -> Vec<f32> {
+        line_order(&self.rows, self.samples.whole())
+    }
+
+    /// The moments in line order.
+    pub fn moments(&self) -> [&[f32]; 2] {
+        let coordinates = self.rows.shape().coordinates();
+        [&self.first, &self.second].map(|moments| &moments.whole()[..coordinates])
+    }
+
+    /// Replaces the samples by others in line order, and keeps the moments. For a rank that is
+    /// alone.
+    pub fn replace(&mut self, words: &[f32]) {
+        let Self { rows, samples, .. } = self;
+        let (samples, shape) = (samples.whole_mut(), rows.shape());
+        for (i, from) in words.chunks_exact(rows.own()).enumerate() {
+            let start = rows.word(0, i / shape.frames(), i % shape.frames());
+            samples[start..start + rows.own()].copy_from_slice(from);
+            let row = &mut samples[start - rows.lead()..][..rows.stride()];
+            rows.close_row(row);
+        }
         rows.close_lines(samples);
     }
+}
 
-    /// How the samples lie.
-    pub fn rows(&self) -> &Rows {
-        &self.rows
+/// The samples that lie in rows, in line order.
+fn line_order(rows: &Rows, samples: &[f32]) -> Vec<f32> {
+    let shape = rows.shape();
+    let mut words = Vec::with_capacity(shape.coordinates());
+    for y in 0..shape.height() {
+        for t in 0..shape.frames() {
+            let start = rows.word(0, y, t);
+            words.extend(&samples[start..start + rows.own()]);
+        }
     }
+    words
+}
 
-    /// The samples in their rows, with [`SLACK`] behind them.
-    pub fn samples(&self) -> &[f32] {
-        &self.samples
-    }
+/// The state of a phase that other ranks carry out, seen while they wait.
+pub struct Onlooker<'a> {
+    storage: &'a Storage,
+    rows: Rows,
+}
 
-    /// The samples in cell order.
-    pub fn cell_samples(&self, partition: &Partition) -> CellSamples {
-        let rows = &self.rows;
-        let mut words = Vec::with_capacity(rows.shape().coordinates());
-        visit_rows(partition, |x, y, t, width| {
-            let start = rows.word(x, y, t);
-            words.extend(&self.samples[start..start + width * rows.pixel()]);
-        });
-        CellSamples { words }
-    }
-
-    /// Renews the copies of lines, after [`Self::lines_mut`].
-    pub fn close(&mut self) {
-        self.rows.close_lines(&mut self.samples);
-    }
-
-    /// The lines of the tile, in order of y, to be changed.
-    pub fn lines_mut(&mut self) -> impl IndexedParallelIterator<Item = Line<'_>> {
-        let rows = &self.rows;
-        let words = rows.own() * rows.shape().frames();
-        self.samples[rows.lines()]
-            .par_chunks_mut(rows.line())
-            .zip(self.first.par_chunks_mut(words))
-            .zip(self.second.par_chunks_mut(words))
-            .map(move |((samples, first), second)| Line { rows, samples, first, second })
+impl<'a> Onlooker<'a> {
+    /// The state that lies in `storage` while a phase is at work whose samples reach so far.
+    pub fn new(storage: &'a Storage, shape: TileShape, reach: Reach) -> Self {
+        Self { storage, rows: Rows::new(shape, reach) }
     }
 }
+
+impl Snapshot for Onlooker<'_> {
+    fn samples(&self) -> Vec<f32> {
+        line_order(&self.rows, self.storage.samples.slice())
+    }
+
+    fn moments(&self) -> [&[f32]; 2] {
+        let coordinates = self.rows.shape().coordinates();
+        let Storage { first, second, .. } = self.storage;
+        [first, second].map(|moments| &moments.slice()[..coordinates])
+    }
+}
+
+/// Samples and both moments, to be given to jobs.
+pub(crate) type Shards<'a> = (&'a mut Parts<f32>, &'a mut Parts<f32>, &'a mut Parts<f32>);
 
 /// The rows of one y in all frames.
 pub(crate) struct Line<'a> {
     rows: &'a Rows,
     samples: &'a mut [f32],
+    /// Its copies above the tile and below it.
+    copies: Vec<&'a mut [f32]>,
     first: &'a mut [f32],
     second: &'a mut [f32],
 }
 
-impl Line<'_> {
-    /// Moves the samples of frame `t` by Adam.
-    pub fn update<P: Pull>(&mut self, t: usize, factors: Factors, pulls: &[P], simd: Simd) {
+impl<'a> Line<'a> {
+    /// A line of which the first `done` rows are as they should be, except for their copies.
+    pub fn new(
+        rows: &'a Rows,
+        (samples, first, second): (Part<'a, f32>, Part<'a, f32>, Part<'a, f32>),
+        done: usize,
+    ) -> Self {
+        let only = |part: Part<'a, f32>| part.pieces().next().expect("a line of moments");
+        let mut samples = samples.pieces();
+        let mut line = Self {
+            rows,
+            samples: samples.next().expect("a line of samples"),
+            copies: samples.collect(),
+            first: only(first),
+            second: only(second),
+        };
+        (0..done).for_each(|t| line.close(t));
+        line
+    }
+
+    /// Moves the samples of frame `t` by Adam, as a unit of a job.
+    pub fn update<P: Pull>(
+        &mut self,
+        (world, job): (&World, &Job<'_>),
+        t: usize,
+        factors: Factors,
+        pulls: &[P],
+        simd: Simd,
+    ) {
         let own = self.rows.own();
         let moments = t * own..(t + 1) * own;
-        let row = &mut self.samples[t * self.rows.stride()..(t + 1) * self.rows.stride()];
-        let lead = self.rows.lead();
-        simd.run(Update {
-            factors,
-            pulls,
-            samples: &mut row[lead..lead + own],
-            first: &mut self.first[moments.clone()],
-            second: &mut self.second[moments],
+        let start = t * self.rows.stride() + self.rows.lead();
+        let unit = [
+            &mut self.samples[start..start + own],
+            &mut self.first[moments.clone()],
+            &mut self.second[moments],
+        ];
+        job.unit(unit, |[samples, first, second]| {
+            simd.run(Update { factors, pulls, samples, first, second });
+            world.fault(Place::Adam);
         });
+        self.close(t);
+    }
+
+    /// Sets the samples of frame `t`.
+    fn put(&mut self, t: usize, row: &[f32]) {
+        let start = t * self.rows.stride() + self.rows.lead();
+        self.samples[start..start + row.len()].copy_from_slice(row);
+        self.close(t);
+    }
+
+    /// Renews all copies of the samples of frame `t`.
+    fn close(&mut self, t: usize) {
+        let stride = self.rows.stride();
+        let words = t * stride..(t + 1) * stride;
+        let row = &mut self.samples[words.clone()];
         self.rows.close_row(row);
+        self.copies.iter_mut().for_each(|copy| copy[words.clone()].copy_from_slice(row));
     }
 }
 
@@ -174,34 +241,38 @@ impl Line<'_> {
 mod tests {
     use super::*;
     use crate::metric::Baseline;
-    use crate::tile::{Reach, TileShape};
+    use crate::solver::{Samples, StoragePlan, Team};
+    use crate::tile::{Partition, Reach, TileShape};
 
     #[test]
-    fn cell_order_and_rows_lose_nothing() {
-        let shape = TileShape::new(37, 35, 3, 2, 3).unwrap();
-        let reach = Reach { left: 2, right: 3, up: 1, down: 0 };
-        let (tile, partition) = (Baseline::White.tile(shape, 4), Partition::new(shape, reach, 1));
-        let samples = CellSamples::from_tile(&tile, &partition);
-        assert_eq!(samples.to_tile(&partition), tile);
-        // The first row of the first cell, and the first pixel of the second cell.
-        let cell = partition.cell(0);
-        let row = cell.width * 6;
-        assert_eq!(samples.words[..row], tile.samples()[..row]);
-        let second = cell.pixels(3) * 6;
-        assert_eq!(samples.words[second..second + 3], *tile.point(partition.cell(1).x, 0, 0, 0));
-
+    fn samples_come_and_go_unchanged_and_with_all_their_copies() {
+        let shape = TileShape::new(37, 5, 3, 2, 3).unwrap();
+        // Lines have several copies.
+        let reach = Reach { left: 2, right: 3, up: 12, down: 6 };
+        let tile = Baseline::White.tile(shape, 4);
+        let partition = Partition::new(shape, reach, 1);
+        let (world, mut storage) = StoragePlan::new(&partition, Team::alone()).private().unwrap();
+        storage.tile_mut(shape).copy_from_slice(&Samples::from_tile(&tile).words);
         let rows = Rows::new(shape, reach);
-        let mut state = State::new(rows.clone(), &partition, &samples);
-        assert_eq!(state.cell_samples(&partition), samples);
-        let start = 6 * rows.line() + 2 * rows.stride();
-        assert_eq!(state.samples()[start..start + 3], *tile.point(35, 5, 2, 0));
-        assert_eq!(state.samples()[start + 12..start + 15], *tile.point(0, 5, 2, 0));
+        let sections = [storage.samples, storage.first, storage.second];
+        let mut plain = by_line(storage.work, rows.own() * 3, 5);
+        let mut state =
+            State::enter(&world, Phase::Descent, rows.clone(), sections, plain.whole(), true);
+        assert_eq!(state.line_order(), Samples::from_tile(&tile).words);
+        let start = (12 + 4) * rows.line() + 2 * rows.stride();
+        assert_eq!(state.samples.whole()[start..start + 3], *tile.point(35, 4, 2, 0));
+        assert_eq!(state.samples.whole()[start + 12..start + 15], *tile.point(0, 4, 2, 0));
+        let closed = state.samples.whole().to_vec();
+        state.replace(&Samples::from_tile(&tile).words);
+        assert_eq!(closed, state.samples.whole());
 
         // New samples leave the moments as they are.
-        state.first.fill(1.0);
-        let other = CellSamples::from_tile(&Baseline::White.tile(shape, 5), &partition);
-        state.replace(&partition, &other);
-        assert_eq!(state.cell_samples(&partition), other);
-        assert!(state.first.iter().all(|&m| m == 1.0));
+        state.first.whole_mut().fill(1.0);
+        let other = Samples::from_tile(&Baseline::White.tile(shape, 5));
+        state.replace(&other.words);
+        assert_eq!(state.line_order(), other.words);
+        assert!(state.first.whole().iter().all(|&m| m == 1.0));
+        state.leave(&world, Phase::Descent, &mut plain);
+        assert_eq!(plain.whole()[..other.words.len()], other.words);
     }
 }

@@ -1,9 +1,9 @@
 //! What a run tells when it is over.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// The parts of a run, in their order.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Phase {
     /// Making the start, and all tables.

@@ -11,15 +11,19 @@
 //! Distributions are integer histograms of fixed bins, which add up alike in one process and on
 //! a cluster.
 
-use perceptile_cluster::World;
-use rayon::prelude::*;
+use std::sync::OnceLock;
+
+use perceptile_cluster::faults::Place;
+use perceptile_cluster::shared::{Parts, Section};
+use perceptile_cluster::{Ends, World};
 use serde::{Deserialize, Serialize};
 
 use crate::draw::{Direction, DirectionSet, Stream, Use};
 use crate::gradient::Targets;
 use crate::gradient::simd::{Isa, Simd, Vectorized};
-use crate::solver::state::CellSamples;
-use crate::tile::{MAX_DIMS, clamp_coordinate};
+use crate::solver::storage::{Storage, Team};
+use crate::solver::{Phase, rounds};
+use crate::tile::{MAX_DIMS, TileShape, clamp_coordinate};
 
 /// How the warp is done.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -36,53 +40,114 @@ pub struct WarpOptions {
 /// than with 128, where the density was less even).
 const BINS: usize = 256;
 
-/// Coordinates that a thread handles at a time; of no influence on the result.
+/// Coordinates that a thread handles at a time, so that they stay close to it while it moves them
+/// and counts them; of no influence on the result.
 const CHUNK: usize = 1 << 14;
 
-/// Warps `samples` of `dims` dimensions towards uniform density.
+/// Words of a job's histograms: two axes at most.
+const COUNTS: usize = 2 * BINS;
+
+/// Jobs that the samples of a tile are dealt out as.
+pub(crate) fn jobs(shape: TileShape, team: Team) -> usize {
+    let points = shape.coordinates() / shape.dims();
+    shape.coordinates().div_ceil(CHUNK).min(team.all_threads() * 4).clamp(1, points)
+}
+
+/// Words of the histograms of all jobs.
+pub(crate) fn count_words(shape: TileShape, team: Team) -> usize {
+    jobs(shape, team) * COUNTS
+}
+
+impl WarpOptions {
+    /// Frames in all: as many times as a dimension has partners.
+    pub fn all_frames(&self, dims: usize) -> u32 {
+        self.frames * dims.saturating_sub(1).max(1) as u32
+    }
+
+    /// The last round of the warp.
+    pub fn last_round(&self, dims: usize) -> u64 {
+        rounds::enter(Phase::Warp) + u64::from(self.all_frames(dims))
+    }
+}
+
+/// Warps the tile that lies in the storage towards uniform density, and returns the section in
+/// which it lies then, in line order.
+///
+/// Each round moves the samples by one frame, from one section to another and back, and counts
+/// them for the next frame.
 pub fn warp(
-    samples: &mut CellSamples,
-    dims: usize,
+    world: &World,
+    storage: Storage,
+    shape: TileShape,
     options: WarpOptions,
     seed: u64,
-    world: World,
     simd: Simd,
-) {
+) -> Section {
+    let dims = shape.dims();
+    let frames = options.all_frames(dims);
+    if frames == 0 {
+        return storage.work;
+    }
+    let plan = world.board().plan();
+    let jobs = jobs(shape, Team { ranks: plan.ranks, threads: plan.threads, can_fail: false });
+    let points = shape.coordinates() / dims;
+    let part = |job: usize| points * job / jobs * dims..points * (job + 1) / jobs * dims;
+    let tile =
+        |section: Section| section.parts::<f32>((0..jobs).map(|job| vec![part(job)]).collect());
+    let mut tiles = [storage.work, storage.samples].map(tile);
+    // Those of one frame are read while those of the next are made.
+    let mut counts = storage.counts.map(|section| {
+        let part = |job: usize| vec![job * COUNTS..(job + 1) * COUNTS];
+        section.parts::<i64>((0..jobs).map(part).collect())
+    });
+
     let set = DirectionSet::new(dims);
     let targets = Targets::new(&set);
-    let chunk = CHUNK / dims * dims;
-    // As many times as a dimension has partners.
-    for frame in 0..options.frames * dims.saturating_sub(1).max(1) as u32 {
-        let mut stream = Stream::new(seed, Use::Warp, frame, 0);
-        let directions = directions(&set, frame, &mut stream);
-        let axes: Vec<Axis> = directions.into_iter().map(|d| Axis::new(d, dims)).collect();
-        let mut counts = samples
-            .words
-            .par_chunks(chunk)
-            .map(|points| {
-                let mut counts = vec![0_i64; axes.len() * BINS];
-                for (axis, counts) in axes.iter().zip(counts.chunks_mut(BINS)) {
-                    simd.run(Count { axis, dims, points, counts });
+    let axes_of = |frame: u32| -> Vec<Axis> {
+        let directions = directions(&set, frame, &mut Stream::new(seed, Use::Warp, frame, 0));
+        directions.into_iter().map(|direction| Axis::new(direction, dims)).collect()
+    };
+    let (mut before, mut now): (Vec<Axis>, _) = (Vec::new(), axes_of(0));
+    for frame in 0..=frames {
+        let round = rounds::enter(Phase::Warp) + u64::from(frame);
+        if world.board().completed() < round {
+            let ([a, b], [even, odd]) = (&mut tiles, &mut counts);
+            // The first frame to be counted is that of the tile as it was.
+            let (from, to) = if frame % 2 == 1 || frame == 0 { (a, b) } else { (b, a) };
+            let (seen, counts) = if frame % 2 == 1 { (even, odd) } else { (odd, even) };
+            let (from, seen) = (from.whole(), seen.whole());
+            let maps = OnceLock::new();
+            let make_maps = || -> Vec<Vec<f32>> {
+                let count = |bin: usize| seen[bin..].iter().step_by(COUNTS).take(jobs).sum();
+                let sums: Vec<i64> = (0..COUNTS).map(count).collect();
+                let axes = before.iter().zip(sums.chunks(BINS));
+                axes.map(|(axis, sums)| axis.displacements(&targets, sums, options.rate)).collect()
+            };
+            world.round(round, Ends::Half, jobs, (to, counts), |job, (mut to, mut counts)| {
+                let (to, counts) = (to.piece(0), counts.piece(0));
+                counts.fill(0);
+                let from = &from[part(job.index())];
+                let chunk = CHUNK / dims * dims;
+                for (to, from) in to.chunks_mut(chunk).zip(from.chunks(chunk)) {
+                    let mut points = from;
+                    if frame > 0 {
+                        // Made by who holds a job, so that the counts cannot change meanwhile.
+                        let maps = maps.get_or_init(make_maps);
+                        to.copy_from_slice(from);
+                        simd.run(Move { axes: &before, maps, dims, points: to });
+                        points = to;
+                    }
+                    world.fault(Place::Warp);
+                    for (axis, counts) in now.iter().zip(counts.chunks_mut(BINS)) {
+                        simd.run(Count { axis, dims, points, counts });
+                    }
                 }
-                counts
-            })
-            .reduce(
-                || vec![0; axes.len() * BINS],
-                |mut sum, part| {
-                    sum.iter_mut().zip(part).for_each(|(a, b)| *a += b);
-                    sum
-                },
-            );
-        world.sum(&mut counts);
-        let maps: Vec<Vec<f32>> = axes
-            .iter()
-            .zip(counts.chunks(BINS))
-            .map(|(axis, counts)| axis.displacements(&targets, counts, options.rate))
-            .collect();
-        samples.words.par_chunks_mut(chunk).for_each(|points| {
-            simd.run(Move { axes: &axes, maps: &maps, dims, points });
-        });
+            });
+        }
+        before = std::mem::replace(&mut now, axes_of(frame + 1));
     }
+    let [work, samples] = tiles.map(Parts::into_section);
+    if frames.is_multiple_of(2) { work } else { samples }
 }
 
 /// The directions of a frame: a right angle in the plane of a pair of dimensions, or, in more
@@ -204,7 +269,8 @@ impl Vectorized for Move<'_> {
 mod tests {
     use super::*;
     use crate::metric::histogram;
-    use crate::tile::{Tile, TileShape};
+    use crate::solver::{Samples, StoragePlan};
+    use crate::tile::{Partition, Reach, Tile};
 
     /// Points of the additive recurrence of the generalised golden ratio: far more even than
     /// random ones, so that what is left of a density's unevenness can be seen.
@@ -216,15 +282,22 @@ mod tests {
             .collect()
     }
 
-    fn warped(points: &[f64], dims: usize, options: WarpOptions) -> CellSamples {
-        let words = points.iter().map(|&x| clamp_coordinate(x as f32)).collect();
-        let mut samples = CellSamples { words };
-        warp(&mut samples, dims, options, 3, World::Local, Simd::detect());
-        samples
+    fn warped(points: &[f64], dims: usize, options: WarpOptions) -> Samples {
+        let words: Vec<f32> = points.iter().map(|&x| clamp_coordinate(x as f32)).collect();
+        warp_words(&words, dims, options, Simd::detect())
+    }
+
+    fn warp_words(words: &[f32], dims: usize, options: WarpOptions, simd: Simd) -> Samples {
+        let shape = TileShape::new(words.len() / dims, 1, 1, 1, dims).unwrap();
+        let partition = Partition::new(shape, Reach::default(), 1);
+        let (world, mut storage) = StoragePlan::new(&partition, Team::alone()).private().unwrap();
+        storage.tile_mut(shape).copy_from_slice(words);
+        let tile = warp(&world, storage, shape, options, 3, simd);
+        Samples { words: tile.slice()[..words.len()].to_vec() }
     }
 
     /// Rms of the shares of 16 strata (one dimension) or of 16×16 cells (each pair) against 1.
-    fn unevenness(samples: &CellSamples, dims: usize) -> f64 {
+    fn unevenness(samples: &Samples, dims: usize) -> f64 {
         if dims == 1 {
             let mut counts = [0_u32; 16];
             samples.words.iter().for_each(|x| counts[(x * 16.0) as usize] += 1);
@@ -283,8 +356,7 @@ mod tests {
     fn anything_stays_in_the_cube() {
         for words in [vec![0.0; 64], vec![crate::tile::BELOW_ONE; 64], vec![0.3]] {
             for dims in [1, 2, 4] {
-                let mut samples = CellSamples { words: words.repeat(dims) };
-                warp(&mut samples, dims, OPTIONS, 1, World::Local, Simd::plain());
+                let samples = warp_words(&words.repeat(dims), dims, OPTIONS, Simd::plain());
                 assert!(samples.words.iter().all(|x| (0.0..1.0).contains(x)));
             }
         }

@@ -145,6 +145,12 @@ impl Partition {
         bands.iter().flat_map(|rows| across.iter().map(|columns| block(rows, columns))).collect()
     }
 
+    /// Number of blocks that [`Self::blocks`] makes.
+    pub fn block_count(&self, count: usize) -> usize {
+        let (bands, across) = self.grid(count);
+        bands.len() * across.len()
+    }
+
     /// Pixels of all blocks together, halos included; saturating.
     pub fn block_pixels(&self, count: usize) -> usize {
         let (bands, across) = self.grid(count);
@@ -201,6 +207,7 @@ mod tests {
             prop_assert!(seen.iter().all(|&n| n == 1));
 
             let blocks = partition.blocks(count);
+            prop_assert_eq!(blocks.len(), partition.block_count(count));
             prop_assert!(blocks.len() >= count.min(partition.cells()).min(partition.rows.len()));
             let mut cells: Vec<usize> = blocks.iter().flat_map(|b| b.cells().to_vec()).collect();
             cells.sort_unstable();

@@ -76,6 +76,17 @@ impl Rows {
         row * self.stride() + self.lead() + x * self.pixel()
     }
 
+    /// The words of line `y`, and those of its copies above the tile and below it.
+    pub fn line_and_copies(&self, y: usize) -> Vec<std::ops::Range<usize>> {
+        let (height, up) = (self.shape.height(), self.reach.up);
+        let lines = up + height + self.reach.down;
+        // The first line that is one of them.
+        let first = (up + y) % height;
+        let copies = (first..lines).step_by(height).filter(|&line| line != up + y);
+        let words = |line: usize| line * self.line()..(line + 1) * self.line();
+        std::iter::once(up + y).chain(copies).map(words).collect()
+    }
+
     /// Renews the copies in front of a row's own pixels and behind them.
     pub fn close_row(&self, row: &mut [f32]) {
         close(row, self.lead(), self.own());
@@ -130,7 +141,14 @@ mod tests {
                 }
                 rows.close_row(row);
             }
+            let mut copied = memory.clone();
             rows.close_lines(&mut memory);
+            for y in 0..height {
+                let mut words = rows.line_and_copies(y).into_iter();
+                let line = words.next().unwrap();
+                words.for_each(|copy| copied.copy_within(line.clone(), copy.start));
+            }
+            prop_assert_eq!(&copied, &memory);
             prop_assert_eq!(memory[rows.word(0, height - 1, 0)], word(0, height - 1, 0, 0));
             for y in 0..up + height + down {
                 for t in 0..frames {

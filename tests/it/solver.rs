@@ -8,9 +8,8 @@ use perceptile::gradient::{Gradient, Quantum};
 use perceptile::metric::{Baseline, Class, Domain, ScoreOptions, Scorer};
 use perceptile::solver::adam::AdamOptions;
 use perceptile::solver::warp::WarpOptions;
-use perceptile::solver::{CellSamples, Descent, Options};
+use perceptile::solver::{Descent, Options, Samples};
 use perceptile::tile::Partition;
-use perceptile_cluster::{Commit, World};
 
 use crate::determinism::{make, options};
 use crate::gradient::Case;
@@ -76,10 +75,10 @@ fn steps_are_adams_on_the_plain_gradient() {
     let draws = Draws::new(case.draw, case.seed, levels, 2);
     let partition = Partition::new(shape, draws.levels().reach(), 1);
     let quantum = Quantum::new(&draws, &partition).unwrap();
-    let gradient = Gradient::new(draws, partition.clone(), quantum, Simd::detect());
+    let gradient = Gradient::new(draws, partition, quantum, Simd::detect());
     let steps = 3;
-    let start = CellSamples::from_tile(&case.tile, &partition);
-    let mut descent = Descent::new(World::Local, gradient, adam, steps, Simd::detect(), &start);
+    let start = Samples::from_tile(&case.tile);
+    let mut descent = Descent::alone(gradient, adam, steps, Simd::detect(), &start).unwrap();
 
     let n = shape.coordinates();
     let (mut m, mut v) = (vec![0.0; n], vec![0.0; n]);
@@ -87,10 +86,10 @@ fn steps_are_adams_on_the_plain_gradient() {
         // Every step starts from the tile as it is, so that errors do not add up.
         let mut now = case.clone();
         now.step = step;
-        now.tile = descent.samples().to_tile(&partition);
+        now.tile = descent.samples().to_tile(shape);
         let pulls = reference::pulls(&now.tile, &now.levels, &now.reference_draws());
-        assert_eq!(descent.step(step).0, Commit::Done);
-        let after = descent.samples().to_tile(&partition);
+        descent.step(step);
+        let after = descent.samples().to_tile(shape);
         let part = f64::from(step) / f64::from(steps);
         let rate = 0.002 + 0.008 * 0.5 * (1.0 + (std::f64::consts::PI * part).cos());
         let t = step as i32 + 1;
@@ -116,12 +115,11 @@ fn going_on_from_other_samples_keeps_the_moments() {
     let draws = Draws::new(options.draw, 1, levels, 2);
     let partition = Partition::new(options.shape, draws.levels().reach(), 1);
     let quantum = Quantum::new(&draws, &partition).unwrap();
-    let gradient = Gradient::new(draws, partition.clone(), quantum, Simd::detect());
-    let start =
-        |seed| CellSamples::from_tile(&Baseline::White.tile(options.shape, seed), &partition);
+    let gradient = Gradient::new(draws, partition, quantum, Simd::detect());
+    let start = |seed| Samples::from_tile(&Baseline::White.tile(options.shape, seed));
     let new = || {
         let gradient = gradient.clone();
-        Descent::new(World::Local, gradient, options.adam, 4, Simd::detect(), &start(1))
+        Descent::alone(gradient, options.adam, 4, Simd::detect(), &start(1)).unwrap()
     };
     let (mut through, mut replaced) = (new(), new());
     through.step(0);

@@ -140,6 +140,13 @@ impl Board {
         self.words[STOP_ASKED].store(1, Ordering::Release);
     }
 
+    /// Stops here, between two rounds; for a rank that is alone.
+    pub fn stop_here(&self) {
+        if self.stopped().is_none() {
+            self.words[STOPPED].store(self.completed(), Ordering::Release);
+        }
+    }
+
     /// The round after which no step is to follow, once it is known.
     pub fn stopped(&self) -> Option<u64> {
         Some(self.words[STOPPED].load(Ordering::Acquire)).filter(|&round| round > 0)

@@ -5,7 +5,7 @@
 //! dozen rows that lie pages apart.
 
 use std::fs::File;
-use std::io::{self, Read, Seek, SeekFrom, Write};
+use std::io;
 
 use memmap2::{MmapMut, MmapRaw};
 use thiserror::Error;
@@ -110,9 +110,7 @@ impl Map {
             .unwrap_or(usize::MAX);
         let system = |source| MapError::System { bytes, source };
         reserve(file, bytes).map_err(system)?;
-        let mut head = file;
-        head.seek(SeekFrom::Start(0)).map_err(system)?;
-        head.write_all(&header.to_bytes()).map_err(system)?;
+        write_head(file, &header.to_bytes()).map_err(system)?;
         Self::open(file, header)
     }
 
@@ -122,11 +120,7 @@ impl Map {
     /// A file that is something else, shorter than it says, or of another run.
     pub fn open(file: &File, expected: Header) -> Result<Self, MapError> {
         let system = |source| MapError::System { bytes: expected.len as usize, source };
-        let mut head = file;
-        head.seek(SeekFrom::Start(0)).map_err(system)?;
-        let mut bytes = [0; 40];
-        head.read_exact(&mut bytes)
-            .map_err(|_| MapError::Header("it is shorter than its header"))?;
+        let bytes = read_head(file).map_err(|_| MapError::Header("it has no header"))?;
         let header = Header::from_bytes(&bytes)?;
         if header != expected {
             return Err(MapError::Header("its header tells of another run"));
@@ -155,6 +149,33 @@ impl Map {
     pub(super) fn base(&self) -> *mut u8 {
         self.raw.as_mut_ptr().wrapping_add(self.start)
     }
+}
+
+/// Reads the first bytes of a file. Its position, which processes share, stays where it is.
+fn read_head(file: &File) -> io::Result<[u8; 40]> {
+    let mut bytes = [0; 40];
+    #[cfg(unix)]
+    std::os::unix::fs::FileExt::read_exact_at(file, &mut bytes, 0)?;
+    #[cfg(not(unix))]
+    {
+        use std::io::{Read, Seek};
+        (&*file).rewind()?;
+        (&*file).read_exact(&mut bytes)?;
+    }
+    Ok(bytes)
+}
+
+/// Writes the first bytes of a file.
+fn write_head(file: &File, bytes: &[u8; 40]) -> io::Result<()> {
+    #[cfg(unix)]
+    std::os::unix::fs::FileExt::write_all_at(file, bytes, 0)?;
+    #[cfg(not(unix))]
+    {
+        use std::io::{Seek, Write};
+        (&*file).rewind()?;
+        (&*file).write_all(bytes)?;
+    }
+    Ok(())
 }
 
 /// Gives a file its size, with all of it allocated where the system can.
@@ -200,6 +221,7 @@ mod tests {
             Map::open(&file, HEADER).unwrap_err().to_string()
         };
         let put = |at: u64, bytes: &[u8], mut file: &File| {
+            use std::io::{Seek, SeekFrom, Write};
             file.seek(SeekFrom::Start(at)).unwrap();
             file.write_all(bytes).unwrap();
         };
@@ -211,7 +233,7 @@ mod tests {
         assert!(rewrite(10_000, 78).contains("another run"));
         assert!(rewrite(u64::MAX, 77).contains("another run"));
         assert!(spoil(&|file| file.set_len(9000).unwrap()).contains("size"));
-        assert!(spoil(&|file| file.set_len(20).unwrap()).contains("shorter"));
+        assert!(spoil(&|file| file.set_len(20).unwrap()).contains("no header"));
         assert!(spoil(&|file| file.set_len(1 << 20).unwrap()).contains("size"));
     }
 

@@ -1,0 +1,265 @@
+//! What all ranks of a run see: the samples, Adam's moments and what steps hand from half to half.
+//!
+//! All of it lies in one map, which is this process's own or a file that worker processes share.
+//! Phases use the same memory one after the other. In between, the samples lie in line order in
+//! the section that holds patches or pulls otherwise.
+
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+
+use perceptile_cluster::World;
+use perceptile_cluster::faults::Faults;
+use perceptile_cluster::shared::{Arena, Board, BoardPlan, Map, MapError, Section, Words};
+
+use serde::{Deserialize, Serialize};
+
+use crate::gradient::Objective;
+use crate::solver::{BLOCKS_PER_THREAD, Summary, warp};
+use crate::tile::{Block, Partition, Reach, Rows, SLACK, TileShape};
+
+/// Who works on a run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Team {
+    /// Ranks: processes.
+    pub ranks: usize,
+    /// Threads of each.
+    pub threads: usize,
+    /// Whether a rank can be lost: then changes in place are written down before.
+    pub can_fail: bool,
+}
+
+impl Team {
+    /// The threads of the current pool.
+    pub fn alone() -> Self {
+        Self { ranks: 1, threads: rayon::current_num_threads(), can_fail: false }
+    }
+
+    /// Threads of all ranks.
+    pub fn all_threads(&self) -> usize {
+        self.ranks.saturating_mul(self.threads)
+    }
+
+    /// The blocks that the team works on.
+    pub(crate) fn blocks(&self, partition: &Partition) -> Vec<Block> {
+        partition.blocks(self.all_threads() * BLOCKS_PER_THREAD)
+    }
+}
+
+/// How much memory a run's phases take, in words of four bytes unless it says otherwise.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct StoragePlan {
+    team: Team,
+    shape: TileShape,
+    samples: usize,
+    work: usize,
+    blocks: usize,
+}
+
+/// The sections that phases hand on.
+#[derive(Debug)]
+pub struct Storage {
+    /// The samples in rows, or a tile in line order.
+    pub(crate) samples: Section,
+    /// Moments in the order of the rows, without the copies around them.
+    pub(crate) first: Section,
+    pub(crate) second: Section,
+    /// Patches, pulls, or a tile in line order.
+    pub(crate) work: Section,
+    /// Histograms of the warp.
+    pub(crate) counts: [Section; 2],
+    /// What the draws of each block found, and which rank did them.
+    pub(crate) found: Arc<Found>,
+    /// Which rank did each line.
+    pub(crate) makers: Arc<Words>,
+    /// The objective of the first and the last steps.
+    pub record: Arc<Record>,
+}
+
+impl StoragePlan {
+    /// Memory for the descent on a partition, by a team.
+    pub fn new(partition: &Partition, team: Team) -> Self {
+        let shape = partition.shape();
+        let rows = Rows::new(shape, partition.reach());
+        let count = team.all_threads().saturating_mul(BLOCKS_PER_THREAD);
+        // The count itself may be less than asked for, or more.
+        let blocks = partition.block_count(count);
+        let pixel = shape.spp() * shape.dims();
+        let patches = partition
+            .block_pixels(count)
+            .saturating_mul(pixel)
+            .saturating_add(blocks.saturating_mul(SLACK));
+        Self {
+            team,
+            shape,
+            samples: (rows.words() + SLACK).max(shape.coordinates()),
+            work: patches.max(shape.coordinates()),
+            blocks,
+        }
+    }
+
+    /// The same, and memory for a polish whose samples see each other so far away.
+    pub fn with_polish(self, reach: Reach) -> Self {
+        let rows = Rows::new(self.shape, reach);
+        Self { samples: self.samples.max(rows.words() + SLACK), ..self }
+    }
+
+    fn board(&self) -> BoardPlan {
+        let Team { ranks, threads, can_fail } = self.team;
+        let row = self.shape.width() * self.shape.spp() * self.shape.dims();
+        let jobs = self.blocks.max(self.shape.height()).max(warp::jobs(self.shape, self.team));
+        // A unit is a row of samples and moments.
+        BoardPlan { ranks, threads, jobs, journal: if can_fail { 3 * row * 4 } else { 0 } }
+    }
+
+    /// Bytes of it all.
+    pub fn bytes(&self) -> usize {
+        let moments = 2 * Arena::room(4 * self.shape.coordinates());
+        let sections = [
+            4 * self.samples,
+            4 * self.work,
+            8 * warp::count_words(self.shape, self.team),
+            8 * warp::count_words(self.shape, self.team),
+            8 * Found::WORDS * self.blocks,
+            8 * self.shape.height(),
+            8 * Record::WORDS,
+        ];
+        let sections = sections.into_iter().map(Arena::room);
+        sections.fold(self.board().room().saturating_add(moments), usize::saturating_add)
+    }
+
+    /// The memory, and the world that works on it as one of its ranks sees it.
+    ///
+    /// # Panics
+    /// If the map is smaller than [`Self::bytes`], or the rank is none of the team.
+    pub fn open(&self, map: Map, rank: usize, faults: Option<Faults>) -> (Arc<World>, Storage) {
+        let mut arena = Arena::new(map);
+        let board = Board::new(&mut arena, self.board());
+        let storage = Storage {
+            samples: arena.take(4 * self.samples),
+            first: arena.take(4 * self.shape.coordinates()),
+            second: arena.take(4 * self.shape.coordinates()),
+            work: arena.take(4 * self.work),
+            counts: [(); 2].map(|()| arena.take(8 * warp::count_words(self.shape, self.team))),
+            found: Arc::new(Found(arena.take(8 * Found::WORDS * self.blocks).words())),
+            makers: Arc::new(arena.take(8 * self.shape.height()).words()),
+            record: Arc::new(Record(arena.take(8 * Record::WORDS).words())),
+        };
+        (Arc::new(World::new(board, rank, faults)), storage)
+    }
+
+    /// Memory of this process alone.
+    ///
+    /// # Errors
+    /// If the system does not give it.
+    pub fn private(&self) -> Result<(Arc<World>, Storage), MapError> {
+        Ok(self.open(Map::private(self.bytes())?, 0, None))
+    }
+}
+
+impl Storage {
+    /// A tile in line order, as phases find it and leave it.
+    pub fn tile_mut(&mut self, shape: TileShape) -> &mut [f32] {
+        &mut self.work.slice_mut()[..shape.coordinates()]
+    }
+
+    /// Sets Adam's moments, in line order.
+    ///
+    /// # Panics
+    /// If they are not as many as the tile has coordinates.
+    pub fn put_moments(&mut self, [first, second]: &[Vec<f32>; 2]) {
+        self.first.slice_mut()[..first.len()].copy_from_slice(first);
+        self.second.slice_mut()[..second.len()].copy_from_slice(second);
+    }
+}
+
+/// What the draws of each block found.
+#[derive(Debug)]
+pub(crate) struct Found(Words);
+
+impl Found {
+    /// Words of a block.
+    const WORDS: usize = 3;
+
+    /// Writes down what a rank found.
+    pub fn set(&self, block: usize, objective: Objective, rank: usize) {
+        let [units, directions] = objective.to_words();
+        let words = &self.0[block * Self::WORDS..][..Self::WORDS];
+        for (word, value) in words.iter().zip([units, directions, rank as u64]) {
+            word.store(value, Ordering::Relaxed);
+        }
+    }
+
+    /// The rank that did a block.
+    pub fn maker(&self, block: usize) -> usize {
+        self.0[block * Self::WORDS + 2].load(Ordering::Relaxed) as usize
+    }
+
+    /// The sum over blocks.
+    pub fn sum(&self, blocks: usize) -> Objective {
+        let word = |at: usize| self.0[at].load(Ordering::Relaxed);
+        (0..blocks)
+            .map(|block| block * Self::WORDS)
+            .map(|at| Objective::from_words([word(at), word(at + 1)]))
+            .sum()
+    }
+}
+
+/// The mean objective of the first steps of a descent, and of the last ones.
+#[derive(Debug)]
+pub struct Record(Words);
+
+impl Record {
+    const WORDS: usize = 2 * Summary::WINDOW;
+
+    /// Writes down the objective of a step.
+    pub(crate) fn set(&self, step: u32, mean: f64) {
+        let step = step as usize;
+        if step < Summary::WINDOW {
+            self.0[step].store(mean.to_bits(), Ordering::Relaxed);
+        }
+        self.0[Summary::WINDOW + step % Summary::WINDOW].store(mean.to_bits(), Ordering::Relaxed);
+    }
+
+    /// The means over the first and the last steps when so many are done; none after none.
+    pub fn means(&self, done: u32) -> [Option<f64>; 2] {
+        let (done, window) = (done as usize, Summary::WINDOW);
+        let count = done.min(window);
+        let value = |at: usize| f64::from_bits(self.0[at].load(Ordering::Relaxed));
+        let first: f64 = (0..count).map(value).sum();
+        let last: f64 = (done - count..done).map(|step| value(window + step % window)).sum();
+        [first, last].map(|sum| (count > 0).then(|| sum / count as f64))
+    }
+
+    /// All that it holds, to be kept.
+    pub fn to_values(&self) -> Vec<f64> {
+        self.0.iter().map(|word| f64::from_bits(word.load(Ordering::Relaxed))).collect()
+    }
+
+    /// Takes over what was kept; values that are missing are 0.
+    pub fn restore(&self, values: &[f64]) {
+        for (word, value) in self.0.iter().zip(values) {
+            word.store(value.to_bits(), Ordering::Relaxed);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn means_are_those_of_the_first_and_the_last_steps() {
+        let shape = TileShape::new(16, 16, 1, 1, 2).unwrap();
+        let partition = Partition::new(shape, Reach::default(), 1);
+        let (_, storage) = StoragePlan::new(&partition, Team::alone()).private().unwrap();
+        let record = &storage.record;
+        assert_eq!(record.means(0), [None, None]);
+        (0..100).for_each(|step| record.set(step, f64::from(step)));
+        assert_eq!(record.means(100), [Some(15.5), Some(83.5)]);
+        (0..3).for_each(|step| record.set(step, f64::from(step)));
+        assert_eq!(record.means(3), [Some(1.0), Some(1.0)]);
+        let (_, other) = StoragePlan::new(&partition, Team::alone()).private().unwrap();
+        other.record.restore(&record.to_values());
+        assert_eq!(other.record.means(3), record.means(3));
+    }
+}
