@@ -1,7 +1,8 @@
 //! Ranks, rounds of jobs and shared memory: how the parts of a run work together.
 //!
 //! A run is a *world* of ranks (processes) that do *rounds* of jobs on memory that all of them
-//! see. The crate knows ranks, bytes and jobs, never what they mean.
+//! see; [`process`] starts, feeds and watches them, [`place`] binds them to processors. The crate
+//! knows ranks, bytes and jobs, never what they mean.
 //!
 //! ```text
 //!  World::round ──► Board: which job is free      ◄── release_rank, ask_hold, ask_stop
@@ -12,6 +13,9 @@
 
 pub mod codec;
 pub mod faults;
+pub mod place;
+#[cfg(unix)]
+pub mod process;
 #[allow(unsafe_code, reason = "the room for it: every block says why it is sound")]
 pub mod shared;
 mod signal;
