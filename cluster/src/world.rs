@@ -81,6 +81,11 @@ impl World {
         }
     }
 
+    /// Gives a sign of life.
+    pub fn beat(&self) {
+        self.count(Counter::Beats, 1);
+    }
+
     /// A place where faults made on purpose can happen.
     #[inline]
     pub fn fault(&self, place: Place) {

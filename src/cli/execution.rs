@@ -2,23 +2,29 @@
 
 use clap::{Args, ValueEnum};
 use perceptile::gradient::simd::Simd;
+use perceptile::solver::Team;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use super::Misuse;
 
 /// Most threads; systems refuse far more of them, some only after having made thousands.
 const MAX_THREADS: usize = 1024;
+/// Most worker processes.
+const MAX_WORKERS: usize = 1024;
+/// Most threads of all workers: each needs blocks and a journal.
+const MAX_ALL_THREADS: usize = 1 << 14;
 
 /// Threads, workers and instructions.
 #[derive(Debug, Args)]
 pub struct ExecutionArgs {
-    /// Threads, at most 1024; 0 takes one for each core
+    /// Threads of each worker or, without workers, of this process, at most 1024; 0 shares out
+    /// the cores
     #[arg(long, default_value_t = 0)]
     threads: usize,
 
-    /// Worker processes; 0 means threads in this process
-    #[arg(long, default_value_t = 0, value_parser = parse_workers)]
-    workers: u32,
+    /// Worker processes, at most 1024; 0 means threads in this process
+    #[arg(long, default_value_t = 0)]
+    workers: usize,
 
     /// Instruction set of the inner loops; of no influence on the tile
     #[arg(long, value_enum, default_value_t = SimdChoice::Auto)]
@@ -35,16 +41,43 @@ enum SimdChoice {
 }
 
 impl ExecutionArgs {
-    /// The number of threads.
+    /// Threads of this process or of each worker.
     ///
     /// # Errors
-    /// If it is too large.
+    /// If there are too many of them, or of all workers together.
     pub fn threads(&self) -> Result<usize, Misuse> {
-        match self.threads {
-            0 => Ok(std::thread::available_parallelism().map_or(1, usize::from)),
-            1..=MAX_THREADS => Ok(self.threads),
-            asked => Err(Misuse(format!("{asked} threads are too many: at most {MAX_THREADS}"))),
+        if self.workers > MAX_WORKERS {
+            let asked = self.workers;
+            return Err(Misuse(format!("{asked} workers are too many: at most {MAX_WORKERS}")));
         }
+        let workers = self.workers.max(1);
+        let threads = match self.threads {
+            0 => (std::thread::available_parallelism().map_or(1, usize::from) / workers).max(1),
+            1..=MAX_THREADS => self.threads,
+            asked => {
+                return Err(Misuse(format!("{asked} threads are too many: at most {MAX_THREADS}")));
+            }
+        };
+        match threads * workers {
+            ..=MAX_ALL_THREADS => Ok(threads),
+            all => Err(Misuse(format!(
+                "{all} threads of all workers are too many: at most {MAX_ALL_THREADS}"
+            ))),
+        }
+    }
+
+    /// Number of worker processes; 0 for none.
+    pub fn workers(&self) -> usize {
+        self.workers
+    }
+
+    /// Who does the run.
+    ///
+    /// # Errors
+    /// If that would be too many.
+    pub fn team(&self) -> Result<Team, Misuse> {
+        let threads = self.threads()?;
+        Ok(Team { ranks: self.workers.max(1), threads, can_fail: self.workers > 0 })
     }
 
     /// The instruction set on this machine.
@@ -65,15 +98,4 @@ pub fn pool(threads: usize) -> Result<ThreadPool, Misuse> {
         .num_threads(threads)
         .build()
         .map_err(|error| Misuse(format!("{threads} threads cannot be had: {error}")))
-}
-
-/// Reads the number of worker processes.
-fn parse_workers(text: &str) -> Result<u32, String> {
-    match text.parse() {
-        Ok(0) => Ok(0),
-        _ => {
-            Err("there are no worker processes in this version; 0 means threads in this process"
-                .into())
-        }
-    }
 }

@@ -2,12 +2,14 @@
 //!
 //! Everything that is printed is printed here; the library never sees a flag.
 
+mod carry;
 mod evaluate;
 mod execution;
 mod export;
 mod kernel;
 mod optimize;
 mod profile;
+mod resume;
 mod settings;
 mod source;
 
@@ -20,14 +22,19 @@ use clap::{Parser, Subcommand};
 use perceptile::format::write::WriteError;
 use perceptile::kernel::{KernelError, ResolveProblem};
 use perceptile::metric::ScoreError;
+#[cfg(unix)]
+use perceptile::run::crew::CrewError;
+use perceptile::run::folder::FolderError;
 use perceptile::run::memory::MemoryError;
+use perceptile::run::program::ProgramError;
 use perceptile::solver::OptionsError;
 
 /// Precompute spatio-temporal sample tiles for Monte Carlo animation rendering.
 ///
 /// Exit codes: 0 done; 1 a file could not be read or written; 2 a wrong argument, option or
-/// setting; 3 an output exists (see --force); 4 the run does not fit into memory; 130 or 143
-/// stopped by Ctrl-C or SIGTERM, with the result so far written.
+/// setting; 3 an output or an unfinished run exists (see --force); 4 the run does not fit into
+/// memory; 5 too many workers were lost; 130 or 143 stopped by Ctrl-C or SIGTERM, with the result
+/// so far written.
 #[derive(Debug, Parser)]
 #[command(name = "perceptile", version, arg_required_else_help = true)]
 struct Arguments {
@@ -38,11 +45,18 @@ struct Arguments {
 #[derive(Debug, Subcommand)]
 enum Command {
     Optimize(Box<optimize::OptimizeArgs>),
+    Resume(Box<resume::ResumeArgs>),
     Evaluate(evaluate::EvaluateArgs),
     Kernel(kernel::KernelArgs),
     Export(export::ExportArgs),
     Profile(Box<profile::ProfileArgs>),
+    /// Take part in a run as one of its workers; started by a coordinator only
+    #[command(name = WORKER, hide = true)]
+    Worker,
 }
+
+/// The name of the command that makes this program a worker.
+const WORKER: &str = "worker";
 
 /// Something is wrong with what was asked for, rather than with the machine.
 #[derive(Debug, thiserror::Error)]
@@ -53,15 +67,29 @@ struct Misuse(String);
 pub fn main() -> ExitCode {
     let result = match Arguments::parse().command {
         Command::Optimize(args) => optimize::run(*args),
+        Command::Resume(args) => resume::run(*args),
         Command::Evaluate(args) => evaluate::run(args).map(|()| ExitCode::SUCCESS),
         Command::Kernel(args) => kernel::run(args).map(|()| ExitCode::SUCCESS),
         Command::Export(args) => export::run(args).map(|()| ExitCode::SUCCESS),
         Command::Profile(args) => profile::run(*args).map(|()| ExitCode::SUCCESS),
+        Command::Worker => work().map(|()| ExitCode::SUCCESS),
     };
     result.unwrap_or_else(|error| {
         eprintln!("error: {error:#}");
         ExitCode::from(exit_code(&error))
     })
+}
+
+/// Takes part in a run.
+#[cfg(unix)]
+fn work() -> anyhow::Result<()> {
+    Ok(perceptile::run::worker::serve()?)
+}
+
+/// There are no workers here.
+#[cfg(not(unix))]
+fn work() -> anyhow::Result<()> {
+    Err(Misuse("there are no worker processes on this system".into()).into())
 }
 
 /// Writes to the standard output; that its reader went away is no error.
@@ -77,9 +105,22 @@ fn print(text: &str) -> anyhow::Result<()> {
 
 /// The exit codes of failures, in one place.
 fn exit_code(error: &anyhow::Error) -> u8 {
-    if matches!(error.downcast_ref(), Some(WriteError::Exists { .. })) {
+    #[cfg(unix)]
+    if let Some(error) = error.downcast_ref::<CrewError>() {
+        return match error {
+            CrewError::Lost { .. } => 5,
+            CrewError::Memory(_) | CrewError::Program(ProgramError::Memory(_)) => 4,
+            CrewError::Place(_) | CrewError::Program(ProgramError::Options(_)) => 2,
+            _ => 1,
+        };
+    }
+    if matches!(error.downcast_ref(), Some(WriteError::Exists { .. }))
+        || matches!(error.downcast_ref(), Some(FolderError::Unfinished { .. }))
+    {
         3
-    } else if error.is::<MemoryError>() {
+    } else if error.is::<MemoryError>()
+        || matches!(error.downcast_ref(), Some(ProgramError::Memory(_)))
+    {
         4
     } else if let Some(KernelError { problem: ResolveProblem::Table(_), .. }) = error.downcast_ref()
     {
@@ -88,6 +129,7 @@ fn exit_code(error: &anyhow::Error) -> u8 {
         || error.is::<OptionsError>()
         || error.is::<KernelError>()
         || error.is::<ScoreError>()
+        || matches!(error.downcast_ref(), Some(ProgramError::Options(_)))
     {
         2
     } else {

@@ -14,6 +14,7 @@ use perceptile::profile::roofline::Rates;
 use perceptile::profile::spans;
 use perceptile::profile::subject::Subject;
 use perceptile::run::memory;
+use perceptile::run::program::Program;
 
 use super::execution::{self, ExecutionArgs};
 use super::print;
@@ -75,9 +76,10 @@ pub fn run(args: ProfileArgs) -> anyhow::Result<()> {
     options.validate()?;
     // Only the descent is looked at.
     options.polish.steps = 0;
-    let kernel = options.kernel.resolve(options.shape)?;
     let threads = args.execution.threads()?;
-    memory::check(&options, &kernel, threads)?;
+    let program = Program::new(&options, args.execution.team()?)?;
+    memory::check(&program)?;
+    let kernel = program.kernel;
     let subject = Subject::new(&options, &kernel, threads)?;
     let existing = Existing::from_force(args.force);
     write::probe(args.trace.iter().chain(&args.svg), existing)?;

@@ -4,11 +4,13 @@
 //! it: our own and foreign `.npy` files ([`npy`]), PNG strips and folders of PNG slices
 //! ([`png`]; [`series`] puts the slices in order). Outwards, [`slices`] exports a tile as PNG
 //! files, [`picture`] draws its preview, [`sidecar`] records where it came from, and all of them
-//! write through [`write`](mod@write), which never loses an existing file.
+//! write through [`write`](mod@write), which never loses an existing file. [`checkpoint`] is both
+//! ways: the state of a run that is to go on later.
 //!
 //! Every reader takes hostile input: it answers with a tile or an error that names the value and
 //! the rule, and allocates no more than the size of the file can justify.
 
+pub mod checkpoint;
 pub mod npy;
 pub mod picture;
 pub mod png;

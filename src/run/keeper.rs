@@ -1,13 +1,272 @@
-//! Checkpoints.
+//! Checkpoints of a run: when they are due, what is in them, and how a run goes on from one.
+//!
+//! A folder is made when there is first something to keep in it, so that short runs leave no
+//! trace; one that is there already is taken, or refused, before the run begins.
+
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+use std::time::{Duration, Instant};
+
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+use crate::format::write::Existing;
+use crate::run::begin::Begin;
+use crate::run::folder::{FolderError, Loaded, RunFolder};
 use crate::run::program::{Position, Program};
-use crate::solver::{Record, Snapshot};
-/// Keeper
-pub struct Keeper;
-impl Keeper {
-    /// due
-    pub fn is_due(&self, _: u32) -> bool {
-        false
+use crate::solver::{Phase, Record, Snapshot, Team};
+
+/// How often a checkpoint is written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Every {
+    /// When this time has passed.
+    Time(Duration),
+    /// When so many steps are done.
+    Steps(u32),
+}
+
+impl FromStr for Every {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let wrong =
+            || format!("`{text}` is neither a time such as 60s or 10m nor steps as in 500steps");
+        if let Some(steps) = text.strip_suffix("steps") {
+            let steps = steps.parse().ok().filter(|&steps| steps > 0);
+            return steps.map(Self::Steps).ok_or_else(wrong);
+        }
+        let (number, factor) = if let Some(number) = text.strip_suffix('s') {
+            (number, 1.0)
+        } else if let Some(number) = text.strip_suffix('m') {
+            (number, 60.0)
+        } else {
+            (text.strip_suffix('h').ok_or_else(wrong)?, 3600.0)
+        };
+        let seconds: f64 = number.parse().map_err(|_| wrong())?;
+        let time = Duration::try_from_secs_f64(seconds * factor).map_err(|_| wrong())?;
+        if time.is_zero() { Err(wrong()) } else { Ok(Self::Time(time)) }
     }
-    /// save
-    pub fn save(&mut self, _: &Program, _: Position, _: &Record, _: &dyn Snapshot) {}
+}
+
+/// The head of a checkpoint; samples and both moments, in line order, follow it.
+#[derive(Debug, Serialize, Deserialize)]
+struct Head {
+    version: String,
+    program: Program,
+    record: Vec<f64>,
+    invocation: String,
+}
+
+/// Writes checkpoints.
+#[derive(Debug)]
+pub struct Keeper {
+    path: PathBuf,
+    every: Every,
+    invocation: String,
+    existing: Existing,
+    folder: Option<RunFolder>,
+    /// When the last checkpoint was written, at which step, and how many there are.
+    saved: Instant,
+    saved_at: Option<u32>,
+}
+
+/// A run that is to go on.
+#[derive(Debug)]
+pub struct Resumed {
+    /// What its ranks do.
+    pub program: Program,
+    /// What it had.
+    pub begin: Begin,
+    /// What [`Keeper::new`] was told of how it was started.
+    pub invocation: String,
+    /// Checkpoints that could not be used, and why not.
+    pub damaged: Vec<String>,
+}
+
+/// Why a run cannot go on.
+#[derive(Debug, Error)]
+pub enum ResumeError {
+    /// Its folder cannot be used.
+    #[error(transparent)]
+    Folder(#[from] FolderError),
+    /// It was made by another version, whose steps may be others.
+    #[error(
+        "the run in {} was made by version {found}, and this is {}: only that version makes its tile",
+        path.display(), env!("CARGO_PKG_VERSION")
+    )]
+    Version {
+        /// Its folder.
+        path: PathBuf,
+        /// The version.
+        found: String,
+    },
+    /// What the checkpoint says cannot be.
+    #[error("the checkpoint in {} cannot be used: {rule}", path.display())]
+    Content {
+        /// Its folder.
+        path: PathBuf,
+        /// What is wrong.
+        rule: String,
+    },
+}
+
+impl Keeper {
+    /// Keeps a run in a folder. `invocation` is for whoever lets it go on.
+    ///
+    /// # Errors
+    /// A folder that is there and cannot be taken.
+    pub fn new(
+        path: &Path,
+        every: Every,
+        existing: Existing,
+        invocation: String,
+    ) -> Result<Self, FolderError> {
+        let mut keeper = Self {
+            path: path.to_owned(),
+            every,
+            invocation,
+            existing,
+            folder: None,
+            saved: Instant::now(),
+            saved_at: None,
+        };
+        // Also a link that leads nowhere is something that is there.
+        if path.symlink_metadata().is_ok() {
+            keeper.folder()?;
+        }
+        Ok(keeper)
+    }
+
+    /// Reads the newest checkpoint of a folder that can be used, for a team to go on from.
+    ///
+    /// # Errors
+    /// A folder that cannot be used, and a run of another version.
+    pub fn resume(path: &Path, every: Every, team: Team) -> Result<(Self, Resumed), ResumeError> {
+        let mut folder = RunFolder::open(path)?;
+        let Loaded { head, arrays, damaged, .. } = folder.newest::<Head>()?;
+        let Head { version, program, record, invocation } = head;
+        if version != env!("CARGO_PKG_VERSION") {
+            return Err(ResumeError::Version { path: path.to_owned(), found: version });
+        }
+        let content =
+            |rule: &str| ResumeError::Content { path: path.to_owned(), rule: rule.to_owned() };
+        let coordinates = program.options.shape.coordinates();
+        let from = program.from;
+        let most = match from.phase {
+            Phase::Descent => program.options.steps,
+            Phase::Polish => program.options.polish.steps,
+            Phase::Start | Phase::Warp => return Err(content("its phase has no steps")),
+        };
+        if from.step > most {
+            return Err(content("it has more steps than the run"));
+        }
+        let Ok([samples, first, second]) = <[Vec<f32>; 3]>::try_from(arrays) else {
+            return Err(content("it does not hold samples and two moments"));
+        };
+        if [&samples, &first, &second].iter().any(|array| array.len() != coordinates) {
+            return Err(content("it holds another number of coordinates than its tile has"));
+        }
+        if !samples.iter().all(|x| (0.0..1.0).contains(x)) {
+            return Err(content("it holds samples outside [0, 1)"));
+        }
+        let program =
+            Program { team, ..program }.checked().map_err(|error| content(&error.to_string()))?;
+        let done = program.steps_done(from);
+        let moments = (from.step > 0).then_some([first, second]);
+        let damaged = damaged.iter().map(|(path, error)| format!("{}: {error}", path.display()));
+        let resumed = Resumed {
+            program,
+            begin: Begin { samples, moments, record },
+            invocation: invocation.clone(),
+            damaged: damaged.collect(),
+        };
+        let keeper = Self {
+            path: path.to_owned(),
+            every,
+            invocation,
+            existing: Existing::Keep,
+            folder: Some(folder),
+            saved: Instant::now(),
+            saved_at: Some(done),
+        };
+        Ok((keeper, resumed))
+    }
+
+    /// Where the run is kept.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Whether there is something to go on from.
+    pub fn has_saved(&self) -> bool {
+        self.saved_at.is_some()
+    }
+
+    /// Whether a checkpoint is due after so many steps.
+    pub fn is_due(&self, done: u32) -> bool {
+        match self.every {
+            Every::Time(time) => self.saved.elapsed() >= time,
+            Every::Steps(steps) => done >= self.saved_at.unwrap_or(0).saturating_add(steps),
+        }
+    }
+
+    /// Writes a checkpoint of where a run is, unless there is one.
+    ///
+    /// # Errors
+    /// What the system reports, and a folder that cannot be taken. Earlier ones stay; the next is
+    /// due as if this one had been written.
+    pub fn save(
+        &mut self,
+        program: &Program,
+        at: Position,
+        record: &Record,
+        state: &dyn Snapshot,
+    ) -> Result<(), FolderError> {
+        let done = program.steps_done(at);
+        self.saved = Instant::now();
+        if self.saved_at == Some(done) {
+            return Ok(());
+        }
+        let head = Head {
+            version: env!("CARGO_PKG_VERSION").into(),
+            program: Program { from: at, ..program.clone() },
+            record: record.to_values(),
+            invocation: self.invocation.clone(),
+        };
+        let [first, second] = state.moments();
+        self.folder()?.save(u64::from(done) + 1, &head, &[&state.samples(), first, second])?;
+        self.saved_at = Some(done);
+        Ok(())
+    }
+
+    /// Removes all that was kept: the run has ended well.
+    ///
+    /// # Errors
+    /// What the system reports.
+    pub fn remove(self) -> Result<(), FolderError> {
+        self.folder.map_or(Ok(()), RunFolder::remove)
+    }
+
+    fn folder(&mut self) -> Result<&mut RunFolder, FolderError> {
+        if self.folder.is_none() {
+            self.folder = Some(RunFolder::create(&self.path, self.existing)?);
+        }
+        Ok(self.folder.as_mut().expect("a folder, by now"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn intervals_are_times_or_steps() {
+        assert_eq!("90s".parse(), Ok(Every::Time(Duration::from_secs(90))));
+        assert_eq!("0.5m".parse(), Ok(Every::Time(Duration::from_secs(30))));
+        assert_eq!("2h".parse(), Ok(Every::Time(Duration::from_secs(7200))));
+        assert_eq!("500steps".parse(), Ok(Every::Steps(500)));
+        for wrong in ["", "5", "s", "0s", "-1s", "nans", "infs", "0steps", "1.5steps", "5days"] {
+            assert!(wrong.parse::<Every>().is_err(), "{wrong}");
+        }
+    }
 }

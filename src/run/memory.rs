@@ -3,10 +3,7 @@
 use thiserror::Error;
 
 use crate::draw::{Direction, Draw};
-use crate::kernel::Kernel;
-use crate::run::program::levels;
-use crate::solver::{BLOCKS_PER_THREAD, Options};
-use crate::tile::{Partition, Reach};
+use crate::run::program::Program;
 
 /// A run that does not fit into this machine's memory.
 #[derive(Debug, Error, Clone, Copy, PartialEq, Eq)]
@@ -18,44 +15,30 @@ pub struct MemoryError {
     pub free: u64,
 }
 
-/// Bytes that a run of these options takes on a number of threads, from the sizes of what it
-/// keeps.
+/// Bytes that a run takes, from the sizes of what it keeps.
 ///
-/// Words of four bytes: the samples in rows, with copies around them, and Adam's two moments;
-/// for the descent the patches of all blocks, for the polish the gradient. The samples are there
-/// in cell order as well, and in the end as a tile. Threads keep the draws of one cell each,
-/// with their directions; all draws of a step are never fewer.
-pub fn foreseen(options: &Options, kernel: &Kernel, threads: usize) -> u64 {
+/// What its ranks share ([`Program::storage`]), the samples that it begins with, and in the end
+/// the tile. Threads keep the draws of one cell each, with their directions; all draws of a step
+/// are never fewer. A worker process has its own tables.
+pub fn foreseen(program: &Program) -> u64 {
     const FIXED: u64 = 16 << 20;
-    let shape = options.shape;
-    let reach = levels(kernel).reach();
-    let pixel = (shape.spp() * shape.dims()) as u64;
-    let tile = shape.coordinates() as u64;
-    // One block is the tile with all copies around it.
-    let pixels = |reach: Reach, blocks: usize| {
-        let partition = Partition::new(shape, reach, 1);
-        (partition.block_pixels(blocks) as u64).saturating_mul(pixel)
-    };
-    let patches = pixels(reach, threads.saturating_mul(BLOCKS_PER_THREAD));
-    let descent = pixels(reach, 1).saturating_add(patches);
-    let polish =
-        if options.polish.steps > 0 { pixels(reach.doubled(), 1).saturating_add(tile) } else { 0 };
-    let words = descent.max(polish);
+    let options = &program.options;
+    let tile = (options.shape.coordinates() * size_of::<f32>()) as u64;
     let directions = options.draw.directions.saturating_mul(size_of::<Direction>());
     let draws = options.draw.draws.saturating_mul(size_of::<Draw>().saturating_add(directions));
-    words
-        .saturating_add(tile.saturating_mul(4))
-        .saturating_mul(size_of::<f32>() as u64)
+    let workers = if program.team.can_fail { program.team.ranks as u64 } else { 0 };
+    (program.storage().bytes() as u64)
+        .saturating_add(2 * tile)
         .saturating_add(draws as u64)
-        .saturating_add(FIXED)
+        .saturating_add(FIXED * (1 + workers))
 }
 
-/// Whether a run of these options on a number of threads fits into the memory that is free.
+/// Whether a run fits into the memory that is free.
 ///
 /// # Errors
 /// If it does not. Where the system does not say what is free, every run fits.
-pub fn check(options: &Options, kernel: &Kernel, threads: usize) -> Result<(), MemoryError> {
-    let needed = foreseen(options, kernel, threads);
+pub fn check(program: &Program) -> Result<(), MemoryError> {
+    let needed = foreseen(program);
     match free() {
         Some(free) if needed > free => Err(MemoryError { needed, free }),
         _ => Ok(()),

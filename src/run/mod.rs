@@ -1,10 +1,20 @@
-//! Runs: where the solver meets files, signals and people.
+//! Runs: where the solver meets files, processes, signals and people.
 //!
-//! [`phases`] joins the parts of the solver into a run, [`observer`] is how a run is watched and
-//! stopped, [`signals`] turns Ctrl-C and SIGTERM into a stop, [`memory`] foresees what a run
-//! needs, and [`outputs`] writes what it leaves behind.
+//! ```text
+//!  phases  (threads of this process) ─┐                   ┌─► solver, round by round
+//!  crew    (worker processes)        ─┴─► program ────────┤
+//!  worker  (one of them)             ───►                 └─► Watch: before each step
+//! ```
+//!
+//! [`program`] is what every rank does, [`begin`] what it begins with, [`observer`] how a run is
+//! watched and stopped, [`keeper`] writes checkpoints to a [`folder`] and reads them again,
+//! [`signals`] turns Ctrl-C and SIGTERM into a stop, [`memory`] foresees what a run needs, and
+//! [`outputs`] writes what it leaves behind.
 
 pub mod begin;
+#[cfg(unix)]
+pub mod crew;
+pub mod folder;
 pub mod keeper;
 pub mod memory;
 pub mod observer;
@@ -12,3 +22,5 @@ pub mod outputs;
 pub mod phases;
 pub mod program;
 pub mod signals;
+#[cfg(unix)]
+pub mod worker;

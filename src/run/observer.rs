@@ -22,6 +22,9 @@ pub trait Observer {
     /// Is told where the run stands.
     fn progress(&mut self, progress: Progress);
 
+    /// Is told in words of something out of the ordinary that the run has coped with.
+    fn tell(&mut self, message: &str);
+
     /// Whether the run should end now: it then does the uniformity step and returns its tile.
     fn stop(&self) -> Option<StopReason>;
 }
@@ -32,6 +35,8 @@ pub struct Unobserved;
 
 impl Observer for Unobserved {
     fn progress(&mut self, _: Progress) {}
+
+    fn tell(&mut self, _: &str) {}
 
     fn stop(&self) -> Option<StopReason> {
         None

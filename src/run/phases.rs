@@ -8,7 +8,7 @@ use crate::gradient::simd::Simd;
 use crate::run::begin::Begin;
 use crate::run::keeper::Keeper;
 use crate::run::observer::{Observer, Progress};
-use crate::run::program::{Position, Program, ProgramError, Watch};
+use crate::run::program::{Abandoned, Position, Program, ProgramError, Watch};
 use crate::solver::{Options, Phase, Record, Snapshot, StopReason, Summary, Team, tile_of};
 use crate::tile::Tile;
 
@@ -91,7 +91,12 @@ impl Watch for Alone<'_> {
         self.clock.begin(phase);
     }
 
-    fn before_step(&mut self, world: &World, at: Position, state: &dyn Snapshot) {
+    fn before_step(
+        &mut self,
+        world: &World,
+        at: Position,
+        state: &dyn Snapshot,
+    ) -> Result<(), Abandoned> {
         if at.step > 0 {
             self.observer.progress(progress(self.program, self.record, at));
         }
@@ -102,9 +107,11 @@ impl Watch for Alone<'_> {
         }
         if let Some(keeper) = &mut self.keeper
             && (self.reason.is_some() || keeper.is_due(done))
+            && let Err(error) = keeper.save(self.program, at, self.record, state)
         {
-            keeper.save(self.program, at, self.record, state);
+            self.observer.tell(&format!("no checkpoint was written: {error}"));
         }
+        Ok(())
     }
 }
 

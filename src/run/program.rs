@@ -6,8 +6,8 @@
 
 use std::sync::Arc;
 
-use perceptile_cluster::World;
 use perceptile_cluster::shared::{MapError, Section};
+use perceptile_cluster::{Ends, World};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
@@ -16,12 +16,12 @@ use crate::gradient::probe::Unprobed;
 use crate::gradient::simd::Simd;
 use crate::gradient::{Gradient, Quantum};
 use crate::kernel::Kernel;
-use crate::solver::polish::Polish;
+use crate::solver::polish::{self, Polish};
 use crate::solver::{
     Descent, Options, OptionsError, Phase, Snapshot, StopReason, Storage, StoragePlan, Team,
     rounds, warp,
 };
-use crate::tile::Partition;
+use crate::tile::{Partition, Reach};
 
 /// What every rank of a run has to know.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -59,7 +59,15 @@ pub enum ProgramError {
     /// There is no memory for it.
     #[error(transparent)]
     Memory(#[from] MapError),
+    /// Whoever watched gave it up.
+    #[error(transparent)]
+    Abandoned(#[from] Abandoned),
 }
+
+/// Said by someone who watches: the run is to end where it is, without a tile.
+#[derive(Debug, Error, Clone, Copy, PartialEq, Eq)]
+#[error("the run was given up")]
+pub struct Abandoned;
 
 /// Someone who is asked before each step.
 pub trait Watch {
@@ -67,7 +75,15 @@ pub trait Watch {
     fn phase(&mut self, phase: Phase);
 
     /// A step is about to be done, or a phase is over.
-    fn before_step(&mut self, world: &World, at: Position, state: &dyn Snapshot);
+    ///
+    /// # Errors
+    /// If no more is to be done.
+    fn before_step(
+        &mut self,
+        world: &World,
+        at: Position,
+        state: &dyn Snapshot,
+    ) -> Result<(), Abandoned>;
 }
 
 impl Program {
@@ -99,6 +115,13 @@ impl Program {
         Partition::new(self.options.shape, levels(&self.kernel).reach(), 1)
     }
 
+    /// How far samples see each other in the polish.
+    pub fn sight(&self) -> Reach {
+        let classes = self.kernel.classes();
+        let classes: Vec<_> = classes.iter().map(|class| (class.weight, &class.taps)).collect();
+        polish::sight(&classes, self.options.shape.frames())
+    }
+
     /// The memory that its ranks share.
     pub fn storage(&self) -> StoragePlan {
         let plan = StoragePlan::new(&self.partition(), self.team);
@@ -108,8 +131,7 @@ impl Program {
 
     /// The last round of all.
     pub fn last_round(&self) -> u64 {
-        let Options { warp, shape, .. } = self.options;
-        warp.last_round(shape.dims())
+        rounds::leave(Phase::Warp)
     }
 
     /// Steps of the phases before a position, and of its own.
@@ -164,14 +186,14 @@ impl Program {
     /// storage. Returns the section in which the tile lies then, in line order.
     ///
     /// # Errors
-    /// If a step would be too coarse.
+    /// If a step would be too coarse, or the run is given up.
     pub fn carry_out(
         &self,
         world: &Arc<World>,
         mut storage: Storage,
         simd: Simd,
         watch: &mut dyn Watch,
-    ) -> Result<Section, OptionsError> {
+    ) -> Result<Section, ProgramError> {
         let Options { steps, adam, polish: polish_options, shape, warp, seed, .. } = self.options;
         let is_over = |phase| world.board().completed() >= rounds::leave(phase);
         let first = |phase| if self.from.phase == phase { self.from.step } else { 0 };
@@ -188,7 +210,7 @@ impl Program {
             let mut descent =
                 Descent::enter(world.clone(), storage, gradient, adam, steps, how, || Unprobed);
             loop {
-                watch.before_step(&world, at, &descent);
+                watch.before_step(&world, at, &descent)?;
                 if at.step >= steps || !self.goes_on(&world, at) {
                     break;
                 }
@@ -208,7 +230,7 @@ impl Program {
             let mut polish =
                 Polish::enter(world.clone(), storage, shape, &classes, polish_options, how);
             loop {
-                watch.before_step(world, at, &polish);
+                watch.before_step(world, at, &polish)?;
                 if at.step >= polish_options.steps || !self.goes_on(world, at) {
                     break;
                 }
@@ -218,7 +240,10 @@ impl Program {
             storage = polish.leave();
         }
         watch.phase(Phase::Warp);
-        Ok(warp::warp(world, storage, shape, warp, seed, simd))
+        let storage = warp::warp(world, storage, shape, warp, seed, simd);
+        // A round without jobs says that all is over, warped or not.
+        world.round(self.last_round(), Ends::Half, 0, (), |_, ()| ());
+        Ok(storage.into_tile(warp.all_frames(shape.dims())))
     }
 }
 

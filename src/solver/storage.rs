@@ -4,6 +4,7 @@
 //! Phases use the same memory one after the other. In between, the samples lie in line order in
 //! the section that holds patches or pulls otherwise.
 
+use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
@@ -15,7 +16,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::gradient::Objective;
 use crate::solver::{BLOCKS_PER_THREAD, Summary, warp};
-use crate::tile::{Block, Partition, Reach, Rows, SLACK, TileShape};
+use crate::tile::{Block, Partition, Reach, SLACK, TileShape};
 
 /// Who works on a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -79,7 +80,6 @@ impl StoragePlan {
     /// Memory for the descent on a partition, by a team.
     pub fn new(partition: &Partition, team: Team) -> Self {
         let shape = partition.shape();
-        let rows = Rows::new(shape, partition.reach());
         let count = team.all_threads().saturating_mul(BLOCKS_PER_THREAD);
         // The count itself may be less than asked for, or more.
         let blocks = partition.block_count(count);
@@ -91,7 +91,7 @@ impl StoragePlan {
         Self {
             team,
             shape,
-            samples: (rows.words() + SLACK).max(shape.coordinates()),
+            samples: rows(partition).max(shape.coordinates()),
             work: patches.max(shape.coordinates()),
             blocks,
         }
@@ -99,8 +99,8 @@ impl StoragePlan {
 
     /// The same, and memory for a polish whose samples see each other so far away.
     pub fn with_polish(self, reach: Reach) -> Self {
-        let rows = Rows::new(self.shape, reach);
-        Self { samples: self.samples.max(rows.words() + SLACK), ..self }
+        let partition = Partition::new(self.shape, reach, 1);
+        Self { samples: self.samples.max(rows(&partition)), ..self }
     }
 
     fn board(&self) -> BoardPlan {
@@ -111,20 +111,37 @@ impl StoragePlan {
         BoardPlan { ranks, threads, jobs, journal: if can_fail { 3 * row * 4 } else { 0 } }
     }
 
-    /// Bytes of it all.
+    /// Bytes of it all; saturating.
     pub fn bytes(&self) -> usize {
-        let moments = 2 * Arena::room(4 * self.shape.coordinates());
-        let sections = [
-            4 * self.samples,
-            4 * self.work,
-            8 * warp::count_words(self.shape, self.team),
-            8 * warp::count_words(self.shape, self.team),
-            8 * Found::WORDS * self.blocks,
-            8 * self.shape.height(),
-            8 * Record::WORDS,
-        ];
-        let sections = sections.into_iter().map(Arena::room);
-        sections.fold(self.board().room().saturating_add(moments), usize::saturating_add)
+        let counts = bytes(8, warp::count_words(self.shape, self.team));
+        [
+            bytes(4, self.samples),
+            bytes(4, self.shape.coordinates()),
+            bytes(4, self.shape.coordinates()),
+            bytes(4, self.work),
+            counts,
+            counts,
+            bytes(8, Found::WORDS.saturating_mul(self.blocks)),
+            bytes(8, self.shape.height()),
+            bytes(8, Record::WORDS),
+        ]
+        .into_iter()
+        .fold(self.board().room(), usize::saturating_add)
+    }
+
+    /// The bytes that a rank touches most, by place.
+    pub fn shares(&self, rank: usize) -> Vec<Range<usize>> {
+        let ranks = self.team.ranks;
+        let mut start = self.board().room();
+        let coordinates = 4 * self.shape.coordinates();
+        [4 * self.samples, coordinates, coordinates, 4 * self.work]
+            .into_iter()
+            .map(|bytes| {
+                let own = start + bytes * rank / ranks..start + bytes * (rank + 1) / ranks;
+                start += Arena::room(bytes);
+                own
+            })
+            .collect()
     }
 
     /// The memory, and the world that works on it as one of its ranks sees it.
@@ -156,10 +173,28 @@ impl StoragePlan {
     }
 }
 
+/// Words of the rows of a tile, [`SLACK`] included: those of one block and its halo; saturating,
+/// as a tile may be larger than memory.
+fn rows(partition: &Partition) -> usize {
+    let shape = partition.shape();
+    let pixel = shape.spp() * shape.dims();
+    partition.block_pixels(1).saturating_mul(pixel).saturating_add(SLACK)
+}
+
+/// Bytes of so many words of a size.
+fn bytes(size: usize, words: usize) -> usize {
+    Arena::room(words.saturating_mul(size))
+}
+
 impl Storage {
     /// A tile in line order, as phases find it and leave it.
     pub fn tile_mut(&mut self, shape: TileShape) -> &mut [f32] {
         &mut self.work.slice_mut()[..shape.coordinates()]
+    }
+
+    /// The section in which the tile lies, in line order, after so many frames of the warp.
+    pub fn into_tile(self, frames: u32) -> Section {
+        if frames.is_multiple_of(2) { self.work } else { self.samples }
     }
 
     /// Sets Adam's moments, in line order.

@@ -63,15 +63,10 @@ impl WarpOptions {
     pub fn all_frames(&self, dims: usize) -> u32 {
         self.frames * dims.saturating_sub(1).max(1) as u32
     }
-
-    /// The last round of the warp.
-    pub fn last_round(&self, dims: usize) -> u64 {
-        rounds::enter(Phase::Warp) + u64::from(self.all_frames(dims))
-    }
 }
 
-/// Warps the tile that lies in the storage towards uniform density, and returns the section in
-/// which it lies then, in line order.
+/// Warps the tile that lies in the storage towards uniform density; it lies where
+/// [`Storage::into_tile`] finds it then.
 ///
 /// Each round moves the samples by one frame, from one section to another and back, and counts
 /// them for the next frame.
@@ -82,11 +77,11 @@ pub fn warp(
     options: WarpOptions,
     seed: u64,
     simd: Simd,
-) -> Section {
+) -> Storage {
     let dims = shape.dims();
     let frames = options.all_frames(dims);
     if frames == 0 {
-        return storage.work;
+        return storage;
     }
     let plan = world.board().plan();
     let jobs = jobs(shape, Team { ranks: plan.ranks, threads: plan.threads, can_fail: false });
@@ -94,9 +89,10 @@ pub fn warp(
     let part = |job: usize| points * job / jobs * dims..points * (job + 1) / jobs * dims;
     let tile =
         |section: Section| section.parts::<f32>((0..jobs).map(|job| vec![part(job)]).collect());
-    let mut tiles = [storage.work, storage.samples].map(tile);
+    let Storage { work, samples, counts, first, second, found, makers, record } = storage;
+    let mut tiles = [work, samples].map(tile);
     // Those of one frame are read while those of the next are made.
-    let mut counts = storage.counts.map(|section| {
+    let mut counts = counts.map(|section| {
         let part = |job: usize| vec![job * COUNTS..(job + 1) * COUNTS];
         section.parts::<i64>((0..jobs).map(part).collect())
     });
@@ -147,7 +143,16 @@ pub fn warp(
         before = std::mem::replace(&mut now, axes_of(frame + 1));
     }
     let [work, samples] = tiles.map(Parts::into_section);
-    if frames.is_multiple_of(2) { work } else { samples }
+    Storage {
+        work,
+        samples,
+        counts: counts.map(Parts::into_section),
+        first,
+        second,
+        found,
+        makers,
+        record,
+    }
 }
 
 /// The directions of a frame: a right angle in the plane of a pair of dimensions, or, in more
@@ -292,7 +297,8 @@ mod tests {
         let partition = Partition::new(shape, Reach::default(), 1);
         let (world, mut storage) = StoragePlan::new(&partition, Team::alone()).private().unwrap();
         storage.tile_mut(shape).copy_from_slice(words);
-        let tile = warp(&world, storage, shape, options, 3, simd);
+        let storage = warp(&world, storage, shape, options, 3, simd);
+        let tile = storage.into_tile(options.all_frames(dims));
         Samples { words: tile.slice()[..words.len()].to_vec() }
     }
 

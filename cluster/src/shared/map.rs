@@ -6,8 +6,10 @@
 
 use std::fs::File;
 use std::io;
+use std::ops::Range;
 
 use memmap2::{MmapMut, MmapRaw};
+use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 /// Zeroed memory.
@@ -36,7 +38,7 @@ pub enum MapError {
 }
 
 /// What a file of shared memory begins with: a page of its own.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Header {
     /// Bytes behind the header.
     pub len: u64,
@@ -175,6 +177,28 @@ fn write_head(file: &File, bytes: &[u8; 40]) -> io::Result<()> {
         (&*file).rewind()?;
         (&*file).write_all(bytes)?;
     }
+    Ok(())
+}
+
+/// Allocates some ranges of the bytes behind the header of a file that is to be made, by the
+/// calling thread: memory lies near whoever has it allocated. Where the system cannot do that
+/// ahead of use, nothing happens.
+///
+/// # Errors
+/// If the system does not give as much.
+pub fn allocate(file: &File, header: Header, ranges: &[Range<usize>]) -> Result<(), MapError> {
+    let bytes = header.len as usize;
+    #[cfg(target_os = "linux")]
+    for range in ranges.iter().filter(|range| !range.is_empty()) {
+        use rustix::fs::{FallocateFlags, fallocate};
+        let start = (Header::BYTES + range.start) as u64;
+        match fallocate(file, FallocateFlags::empty(), start, range.len() as u64) {
+            Ok(()) | Err(rustix::io::Errno::OPNOTSUPP) => (),
+            Err(error) => return Err(MapError::System { bytes, source: error.into() }),
+        }
+    }
+    #[cfg(not(target_os = "linux"))]
+    let _ = (file, ranges, bytes);
     Ok(())
 }
 

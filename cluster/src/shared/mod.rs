@@ -11,5 +11,5 @@ mod map;
 mod section;
 
 pub use board::{Board, BoardPlan, Claim, Counter, Job, Token};
-pub use map::{Header, Map, MapError};
+pub use map::{Header, Map, MapError, allocate};
 pub use section::{Arena, Part, Parts, Section, Shards, Words};

@@ -26,7 +26,7 @@ impl Arena {
         Self { map: Arc::new(map), taken: 0 }
     }
 
-    /// Bytes that a section of `bytes` takes of an arena.
+    /// Bytes that a section of `bytes` takes of an arena; saturating.
     pub fn room(bytes: usize) -> usize {
         bytes.div_ceil(ALIGNMENT).saturating_mul(ALIGNMENT)
     }
