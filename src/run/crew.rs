@@ -120,8 +120,8 @@ pub enum CrewError {
 const PAUSE: Duration = Duration::from_millis(5);
 /// How long a worker may take until it is ready: kernels may be large, machines slow.
 const PATIENCE: Duration = Duration::from_secs(60);
-/// How long workers may take to end when all is done.
-const FAREWELL: Duration = Duration::from_secs(10);
+/// How long workers may take to end by themselves when all is done; one that hangs is ended then.
+const FAREWELL: Duration = Duration::from_millis(300);
 
 /// Carries out a program by worker processes, as many as its team has ranks.
 ///
