@@ -104,6 +104,8 @@ impl Observer for Interrupting {
         self.done += u32::from(matches!(progress.phase, Phase::Descent | Phase::Polish));
     }
 
+    fn tell(&mut self, _: &str) {}
+
     fn stop(&self) -> Option<StopReason> {
         (self.done >= self.after).then_some(StopReason::Interrupted)
     }
