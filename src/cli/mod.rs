@@ -83,7 +83,7 @@ pub fn main() -> ExitCode {
 /// Takes part in a run.
 #[cfg(unix)]
 fn work() -> anyhow::Result<()> {
-    Ok(perceptile::run::worker::serve()?)
+    Ok(perceptile::run::worker::serve(&perceptile::profile::crew::take_part)?)
 }
 
 /// There are no workers here.

@@ -6,6 +6,8 @@ use std::time::Duration;
 use clap::Args;
 use perceptile::format::write::{self, Existing};
 use perceptile::profile::counters::Counters;
+#[cfg(unix)]
+use perceptile::profile::crew::{self, CrewProfile};
 use perceptile::profile::machine::Machine;
 use perceptile::profile::measure;
 use perceptile::profile::picture;
@@ -13,8 +15,11 @@ use perceptile::profile::report::Profile;
 use perceptile::profile::roofline::Rates;
 use perceptile::profile::spans;
 use perceptile::profile::subject::Subject;
+#[cfg(unix)]
+use perceptile::run::crew::CrewOptions;
 use perceptile::run::memory;
 use perceptile::run::program::Program;
+use perceptile::solver::Start;
 
 use super::execution::{self, ExecutionArgs};
 use super::print;
@@ -26,7 +31,9 @@ use super::settings::Settings;
 /// and without probes. Shows time, bytes and operations of each stage, and where it stands under
 /// what this machine can do; for layouts of the tile and orders of the draws the cache lines and
 /// pages of a draw, and its misses on a model of this machine's caches; what the processor
-/// counts, where it is allowed to tell; and what to do about all that. Writes no tile.
+/// counts, where it is allowed to tell; and what to do about all that. With workers, also what each of them
+/// does, what it waits for and reads of others, and what it costs them to go in step. Writes no
+/// tile.
 #[derive(Debug, Args)]
 pub struct ProfileArgs {
     #[command(flatten)]
@@ -74,13 +81,13 @@ pub fn run(args: ProfileArgs) -> anyhow::Result<()> {
     };
     let (mut options, _) = settings.options()?;
     options.validate()?;
-    // Only the descent is looked at.
+    // Only the descent is looked at, from a random start.
     options.polish.steps = 0;
+    options.start = Start::Random;
     let threads = args.execution.threads()?;
     let program = Program::new(&options, args.execution.team()?)?;
     memory::check(&program)?;
-    let kernel = program.kernel;
-    let subject = Subject::new(&options, &kernel, threads)?;
+    let subject = Subject::new(&options, &program.kernel, threads)?;
     let existing = Existing::from_force(args.force);
     write::probe(args.trace.iter().chain(&args.svg), existing)?;
     let simd = args.execution.simd();
@@ -89,9 +96,25 @@ pub fn run(args: ProfileArgs) -> anyhow::Result<()> {
     // Counters see the threads that are started after them.
     let mut counters = Counters::open();
     let pool = execution::pool(threads)?;
-    let profile = pool
+    #[cfg_attr(not(unix), allow(unused_mut, reason = "workers add to it"))]
+    let mut profile = pool
         .install(|| Profile::take(&subject, machine, rates, simd, args.measure, &mut counters))?;
-    if let Some(path) = &args.trace {
+    #[cfg(unix)]
+    if program.team.can_fail {
+        let (options, step) = (crew_options(), profile.whole.seconds);
+        profile.crew = Some(CrewProfile::take(&program, simd, &options, step, args.measure)?);
+    }
+    if let Some(path) = &args.trace
+        && program.team.can_fail
+    {
+        #[cfg(unix)]
+        {
+            let workers = crew::spans(&program, simd, &crew_options(), MOST_EVENTS)?;
+            write::write(path, existing, |out| {
+                spans::write_workers(out, threads, &workers, 2 * MOST_EVENTS as u64)
+            })?;
+        }
+    } else if let Some(path) = &args.trace {
         let (spans, steps) =
             pool.install(|| measure::spans(&subject, simd, &subject.start(), MOST_EVENTS))?;
         write::write(path, existing, |out| {
@@ -106,6 +129,19 @@ pub fn run(args: ProfileArgs) -> anyhow::Result<()> {
         print(&(serde_json::to_string_pretty(&profile)? + "\n"))
     } else {
         print(&profile.to_string())
+    }
+}
+
+/// Workers that nothing is to go wrong with.
+#[cfg(unix)]
+fn crew_options() -> CrewOptions {
+    CrewOptions {
+        arguments: vec![super::WORKER.into()],
+        pin: false,
+        silence: Duration::from_secs(10),
+        replacements: 0,
+        faults: None,
+        folder: std::env::temp_dir(),
     }
 }
 

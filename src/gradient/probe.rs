@@ -1,7 +1,9 @@
 //! Where a step's time goes: marks between its stages, which cost nothing unless someone listens.
 
+use serde::{Deserialize, Serialize};
+
 /// The stages of a step.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Stage {
     /// Making the draws: pixels, thresholds, directions.
     Draws,

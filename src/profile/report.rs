@@ -11,6 +11,8 @@ use super::access::{self, Arrangement, Behaviour, Order};
 use super::advice::{self, Evidence};
 use super::cache::CacheError;
 use super::counters::{Counters, Event, Reading};
+#[cfg(unix)]
+use super::crew::CrewProfile;
 use super::machine::Machine;
 use super::measure::{self, StageTiming, Timing};
 use super::roofline::{Bound, Placement, Rates, Store, Work};
@@ -104,6 +106,9 @@ pub struct Profile {
     pub rates: Rates,
     /// What to do about it.
     pub advice: Vec<String>,
+    /// What worker processes make of it, if they were asked for.
+    #[cfg(unix)]
+    pub crew: Option<CrewProfile>,
 }
 
 impl Profile {
@@ -203,6 +208,8 @@ impl Profile {
             counters,
             rates,
             advice,
+            #[cfg(unix)]
+            crew: None,
         })
     }
 }
@@ -409,6 +416,10 @@ impl fmt::Display for Profile {
             writeln!(f, "  {:18} {text}", row.event.name())?;
         }
 
+        #[cfg(unix)]
+        if let Some(crew) = &self.crew {
+            write!(f, "\n{crew}")?;
+        }
         let mut advice = String::new();
         for sentence in &self.advice {
             writeln!(advice, "- {sentence}")?;

@@ -5,11 +5,13 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
+use serde::{Deserialize, Serialize};
+
 use super::trace::Trace;
 use crate::gradient::probe::{Probe, Stage};
 
 /// Something that a thread did.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Span {
     /// The thread's number in the pool.
     pub thread: usize,
@@ -24,7 +26,7 @@ pub struct Span {
 }
 
 /// What a thread does.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Work {
     /// All draws of a block.
     Pull,
@@ -145,13 +147,38 @@ pub fn write(
     for (number, &(start, duration)) in steps.iter().enumerate() {
         trace.complete(0, &format!("step {number}"), start, duration, &[])?;
     }
-    for span in spans {
-        let details = match span.work {
-            Work::Stage(_) => Vec::new(),
-            Work::Pull | Work::Update => vec![("step", span.step.into())],
-        };
-        let thread = span.thread as u32 + 1;
-        trace.complete(thread, span.work.name(), span.start, span.duration, &details)?;
+    spans.iter().try_for_each(|span| event(&mut trace, 1, span))?;
+    trace.finish().map(|_| ())
+}
+
+/// Writes the spans of worker processes as a trace of at most `limit` events, with a track for
+/// each thread of each worker.
+///
+/// # Errors
+/// If it cannot be written.
+pub fn write_workers(
+    out: impl Write,
+    threads: usize,
+    workers: &[Vec<Span>],
+    limit: u64,
+) -> io::Result<()> {
+    let mut trace = Trace::new(out, "perceptile", limit)?;
+    for (worker, spans) in workers.iter().enumerate() {
+        let first = (worker * threads) as u32;
+        for thread in 0..threads {
+            trace.thread(first + thread as u32, &format!("worker {worker}, thread {thread}"))?;
+        }
+        spans.iter().try_for_each(|span| event(&mut trace, first, span))?;
     }
     trace.finish().map(|_| ())
+}
+
+/// Writes a span on the track of its thread, of which the first is given.
+fn event(trace: &mut Trace<impl Write>, first: u32, span: &Span) -> io::Result<()> {
+    let details = match span.work {
+        Work::Stage(_) => Vec::new(),
+        Work::Pull | Work::Update => vec![("step", span.step.into())],
+    };
+    let thread = first + span.thread as u32;
+    trace.complete(thread, span.work.name(), span.start, span.duration, &details)
 }

@@ -135,42 +135,9 @@ pub fn carry_out(
     observer: &mut dyn Observer,
     keeper: Option<&mut Keeper>,
 ) -> Result<(Tile, Summary, CrewSummary), CrewError> {
-    let team = program.team;
-    let places = options.pin.then(|| place::assign(team.ranks, team.threads)).transpose()?;
-    for (rank, place) in places.iter().flatten().enumerate() {
-        observer.tell(&format!("worker {rank} runs on {place}"));
-    }
     let mut clock = Clock::new();
-    let plan = program.storage();
-    let header = Header { len: plan.bytes() as u64, run: RandomState::new().hash_one(1) };
-    let file = region(header.len, &options.folder)?;
-    for (rank, place) in places.iter().flatten().enumerate() {
-        // Memory lies near whoever touches it first.
-        let ranges = plan.shares(rank);
-        place::with_bound(place, || allocate(&file, header, &ranges))??;
-    }
-    let map = Map::create(&file, header)?;
-    let (world, mut storage) = plan.open(map, 0, None);
-    begin.put(program, &world, &mut storage);
-    let errand = Errand {
-        program: program.clone(),
-        header,
-        plain: simd == Simd::plain(),
-        faults: options.faults,
-    };
-    let launch = Launch {
-        program: this_program()
-            .map_err(|source| CrewError::File { folder: "/proc/self".into(), source })?,
-        arguments: options.arguments.iter().map(Into::into).collect(),
-        workers: team.ranks,
-        version: VERSION.into(),
-        payload: codec::encode(&errand)?,
-        region: file,
-        places,
-        patience: PATIENCE,
-        silence: options.silence,
-    };
-    let workers = Workers::start(launch)?;
+    let tell = &mut |text: &str| observer.tell(text);
+    let (workers, world, storage) = start(program, begin, simd, options, None, tell)?;
     let mut crew = Crew {
         program,
         options,
@@ -198,6 +165,79 @@ pub fn carry_out(
     let tile = tile_of(&section.slice()[..shape.coordinates()], shape);
     let summary = summary(program, &world, &record, reason, clock.seconds());
     Ok((tile, summary, crew_summary(&world, replaced)))
+}
+
+/// Has workers do something else on the memory of a program. Returns what each of them reported,
+/// and what they did.
+///
+/// # Errors
+/// If there is too little memory, if workers do not start, or if one is lost.
+pub fn employ(
+    program: &Program,
+    begin: &Begin,
+    simd: Simd,
+    options: &CrewOptions,
+    task: Vec<u8>,
+) -> Result<(Vec<Vec<u8>>, CrewSummary), CrewError> {
+    let (mut workers, world, _) = start(program, begin, simd, options, Some(task), &mut |_| ())?;
+    let lost = |cause| CrewError::Lost { lost: 1, cause, kept: String::new() };
+    while workers.pids().iter().any(Option::is_some) {
+        let beat = |rank| world.board().counter(rank, Counter::Beats).load(Ordering::Relaxed);
+        if let Some(loss) = workers.check(beat).into_iter().next() {
+            return Err(lost(loss.cause.to_string()));
+        }
+        std::thread::sleep(PAUSE);
+    }
+    let reports = workers.finish(FAREWELL).into_iter().collect::<Option<Vec<Vec<u8>>>>();
+    let reports = reports.ok_or_else(|| lost("did not report".into()))?;
+    Ok((reports, crew_summary(&world, 0)))
+}
+
+/// Starts the workers of a program on memory that holds what it begins with.
+fn start(
+    program: &Program,
+    begin: &Begin,
+    simd: Simd,
+    options: &CrewOptions,
+    other: Option<Vec<u8>>,
+    tell: &mut dyn FnMut(&str),
+) -> Result<(Workers, Arc<World>, Storage), CrewError> {
+    let team = program.team;
+    let places = options.pin.then(|| place::assign(team.ranks, team.threads)).transpose()?;
+    for (rank, place) in places.iter().flatten().enumerate() {
+        tell(&format!("worker {rank} runs on {place}"));
+    }
+    let plan = program.storage();
+    let header = Header { len: plan.bytes() as u64, run: RandomState::new().hash_one(1) };
+    let file = region(header.len, &options.folder)?;
+    for (rank, place) in places.iter().flatten().enumerate() {
+        // Memory lies near whoever touches it first.
+        let ranges = plan.shares(rank);
+        place::with_bound(place, || allocate(&file, header, &ranges))??;
+    }
+    let map = Map::create(&file, header)?;
+    let (world, mut storage) = plan.open(map, 0, None);
+    begin.put(program, &world, &mut storage);
+    let errand = Errand {
+        program: program.clone(),
+        other,
+        header,
+        plain: simd == Simd::plain(),
+        faults: options.faults,
+    };
+    let launch = Launch {
+        program: this_program()
+            .map_err(|source| CrewError::File { folder: "/proc/self".into(), source })?,
+        arguments: options.arguments.iter().map(Into::into).collect(),
+        workers: team.ranks,
+        version: VERSION.into(),
+        payload: codec::encode(&errand)?,
+        region: file,
+        places,
+        patience: PATIENCE,
+        silence: options.silence,
+    };
+    Ok((Workers::start(launch)?, world, storage))
 }
 
 /// A file without a name for shared memory: where it is fastest, or else in a folder.

@@ -182,6 +182,16 @@ impl Program {
             .ok_or(OptionsError::Batch { draws: draw.draws, directions: draw.directions })
     }
 
+    /// What its descent goes by.
+    ///
+    /// # Errors
+    /// If a step would be too coarse.
+    pub fn gradient(&self, simd: Simd) -> Result<Gradient, OptionsError> {
+        let draws = self.draws();
+        let quantum = self.quantum(&draws)?;
+        Ok(Gradient::new(draws, self.partition(), quantum, simd))
+    }
+
     /// Carries the run out as a rank of a world, from the samples and moments that lie in the
     /// storage. Returns the section in which the tile lies then, in line order.
     ///
@@ -202,9 +212,7 @@ impl Program {
         let due = steps > 0 && self.from.phase <= at.phase;
         if due && !is_over(at.phase) {
             watch.phase(at.phase);
-            let draws = self.draws();
-            let quantum = self.quantum(&draws)?;
-            let gradient = Gradient::new(draws, self.partition(), quantum, simd);
+            let gradient = self.gradient(simd)?;
             let how = (simd, at.step == 0);
             let world = Arc::clone(world);
             let mut descent =

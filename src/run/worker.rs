@@ -1,5 +1,8 @@
 //! What a worker process does: it takes its part in a run, and ends with it.
 
+use std::sync::Arc;
+
+use perceptile_cluster::World;
 use perceptile_cluster::codec::{self, CodecError};
 use perceptile_cluster::faults::{FaultPlan, Faults, Place};
 use perceptile_cluster::process::{self, ProcessError};
@@ -10,8 +13,7 @@ use thiserror::Error;
 
 use crate::gradient::simd::Simd;
 use crate::run::program::{Abandoned, Position, Program, ProgramError, Watch};
-use crate::solver::{Phase, Snapshot};
-use perceptile_cluster::World;
+use crate::solver::{Phase, Snapshot, Storage};
 
 /// The name and version that coordinator and workers must share.
 pub(super) const VERSION: &str = concat!("perceptile ", env!("CARGO_PKG_VERSION"));
@@ -20,6 +22,8 @@ pub(super) const VERSION: &str = concat!("perceptile ", env!("CARGO_PKG_VERSION"
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) struct Errand {
     pub program: Program,
+    /// What to do in place of the program, for who knows what it says.
+    pub other: Option<Vec<u8>>,
     /// Of the shared memory.
     pub header: Header,
     /// Whether no vector instructions are to be used.
@@ -50,24 +54,30 @@ pub enum WorkerError {
     Program(#[from] ProgramError),
 }
 
+/// Does what a coordinator asks for in place of a program, on the world and the storage of that
+/// program, and says what came of it; or why it cannot.
+pub type Other<'a> =
+    &'a (dyn Fn(&[u8], &Program, Arc<World>, Storage, Simd) -> Result<Vec<u8>, String> + Sync);
+
 /// Takes part in the run of the coordinator that started this process. To be called by the main
 /// thread, before all else.
 ///
 /// # Errors
 /// If it cannot; the coordinator has been told.
-pub fn serve() -> Result<(), WorkerError> {
+pub fn serve(other: Other<'_>) -> Result<(), WorkerError> {
     let mut attached = process::attach(VERSION)?;
     let rank = attached.rank;
     let prepare = || {
         let errand: Errand = codec::decode::<_, ERRAND_LIMIT>(&attached.payload)?;
-        let Errand { program, header, plain, faults } = errand;
+        let Errand { program, other, header, plain, faults } = errand;
         let program = program.checked().map_err(ProgramError::from)?;
         let pool = ThreadPoolBuilder::new().num_threads(program.team.threads).build()?;
         let map = Map::open(&attached.region, header)?;
         let (world, storage) = program.storage().open(map, rank, faults.map(Faults::new));
-        Ok((program, plain, pool, world, storage))
+        let simd = if plain { Simd::plain() } else { Simd::detect() };
+        Ok((program, other, simd, pool, world, storage))
     };
-    let (program, plain, pool, world, storage) = match prepare() {
+    let (program, task, simd, pool, world, storage) = match prepare() {
         Ok(prepared) => prepared,
         Err(error) => {
             let error: WorkerError = error;
@@ -78,10 +88,17 @@ pub fn serve() -> Result<(), WorkerError> {
     let alive = world.clone();
     attached.ready(move || alive.beat())?;
     world.fault(Place::Attach);
-    let simd = if plain { Simd::plain() } else { Simd::detect() };
-    pool.install(|| program.carry_out(&world, storage, simd, &mut Unwatched))?;
-    attached.report(Vec::new())?;
-    Ok(())
+    let report = match task {
+        Some(task) => match pool.install(|| other(&task, &program, world, storage, simd)) {
+            Ok(report) => report,
+            Err(text) => return Ok(attached.fail(&text)?),
+        },
+        None => {
+            pool.install(|| program.carry_out(&world, storage, simd, &mut Unwatched))?;
+            Vec::new()
+        }
+    };
+    Ok(attached.report(report)?)
 }
 
 /// The coordinator watches.

@@ -61,7 +61,7 @@ pub(crate) fn count_words(shape: TileShape, team: Team) -> usize {
 impl WarpOptions {
     /// Frames in all: as many times as a dimension has partners.
     pub fn all_frames(&self, dims: usize) -> u32 {
-        self.frames * dims.saturating_sub(1).max(1) as u32
+        self.frames.saturating_mul(dims.saturating_sub(1).max(1) as u32)
     }
 }
 

@@ -208,7 +208,10 @@ fn wrong_arguments_are_refused() {
         (&["--time=-5s"], &["-5s"]),
         (&["--time", "1e300h"], &["1e300h"]),
         (&["--time", "nan"], &["nan"]),
-        (&["--workers", "1"], &["workers", "threads in this process"]),
+        (&["--workers", "5000"], &["5000 workers are too many"]),
+        (&["--workers", "1000", "--threads", "1000"], &["1000000 threads of all workers"]),
+        (&["--pin"], &["--workers"]),
+        (&["--checkpoint", "5"], &["60s", "500steps"]),
         (&["--threads", "-1"], &["-1"]),
         (&["--threads", "1000000000"], &["1000000000", "1024"]),
         (&["--integrands", "65537"], &["65537", "65536"]),
@@ -230,7 +233,8 @@ fn a_run_that_memory_cannot_hold_is_refused_at_once() {
         folder.fail(&["optimize", "--preset", "salaun", "--tile", tile], 4, &["MB", "memory"]);
     }
     // Its draws need more than its samples do.
-    let draws = ["--tile", "8x8x8", "--kernel", "none", "--draws", "1000000000", "--directions"];
+    let draws =
+        ["--tile", "512x512x16", "--kernel", "none", "--draws", "1000000000", "--directions"];
     folder.fail(&[&["optimize"], &draws[..], &["16"]].concat(), 4, &["memory"]);
     folder.fail(
         &["optimize", "--tile", "8192x8192x64", "--dry-run", "--spp", "64"],
@@ -433,7 +437,9 @@ fn signals_end_a_run_and_leave_its_tile() {
         assert_eq!(output.status.code(), Some(code), "{}", text(&output.stderr));
         assert!(text(&output.stdout).contains("interrupted"), "{}", text(&output.stdout));
         assert_eq!(text(&output.stderr), "");
-        assert_eq!(folder.names(), ["tile.json", "tile.npy", "tile.png"]);
+        // The run can go on, as it says.
+        assert_eq!(folder.names(), ["tile.json", "tile.npy", "tile.png", "tile.run"]);
+        assert!(text(&output.stdout).contains("perceptile resume tile.run"));
         let (_, sidecar) = folder.tile("tile.npy");
         assert!(sidecar.command.contains("--stop-after"), "{}", sidecar.command);
 
@@ -460,7 +466,7 @@ fn a_second_signal_ends_a_run_at_once() {
     assert!(child.try_wait().unwrap().is_none());
     send(&child, "INT");
     assert_eq!(child.wait().unwrap().code(), Some(130));
-    assert!(folder.names().is_empty());
+    assert_eq!(folder.names(), ["tile.run"]);
 }
 
 #[test]
@@ -749,7 +755,7 @@ fn a_profile_of_what_cannot_be_run_says_so() {
     folder.fail(&plain(&["--threads", "100000"]), 2, &["100000 threads are too many"]);
     folder.fail(&plain(&["--axis-share", "2"]), 2, &["axis"]);
     folder.fail(&plain(&["--tile", "2x2x2"]), 2, &["kernel"]);
-    folder.fail(&plain(&["--workers", "2"]), 2, &["worker"]);
+    folder.fail(&plain(&["--workers", "5000"]), 2, &["5000 workers are too many"]);
     folder.fail(&plain(&["--tile", "60000x60000x60"]), 4, &["memory"]);
     folder.fail(&plain(&["--svg", "nowhere/picture.svg"]), 1, &["no folder"]);
     folder.fail(&plain(&["--svg", "a.json", "--trace", "./a.json"]), 1, &["two outputs"]);
