@@ -124,19 +124,18 @@ impl CarryArgs {
             let options = self.crew(&keeper);
             // The workers end with the thread that starts them: this one.
             let made =
-                crew::carry_out(&program, &begin, simd, &options, &mut watch, Some(&mut keeper));
+                crew::carry_out(&program, begin, simd, &options, &mut watch, Some(&mut keeper));
             let (tile, summary, crew) = made?;
             (tile, summary, Some(crew))
         } else {
             let (tile, summary) = pool.install(|| {
-                phases::carry_out(&program, &begin, simd, &mut watch, Some(&mut keeper))
+                phases::carry_out(&program, begin, simd, &mut watch, Some(&mut keeper))
             })?;
             (tile, summary, None)
         };
         #[cfg(not(unix))]
         let (tile, summary) = pool
-            .install(|| phases::carry_out(&program, &begin, simd, &mut watch, Some(&mut keeper)))?;
-        drop(begin);
+            .install(|| phases::carry_out(&program, begin, simd, &mut watch, Some(&mut keeper)))?;
         watch.bar.finish_and_clear();
         let seconds = started.elapsed().as_secs_f64();
         // A stopped run is to end soon, so it is not scored.

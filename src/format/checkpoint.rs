@@ -112,12 +112,17 @@ pub enum CheckpointError {
     },
 }
 
-/// Writes a checkpoint. The arrays are passed on block by block, never copied whole.
+/// Writes a checkpoint. Each array comes in pieces, which are passed on block by block, never
+/// copied whole.
 ///
 /// # Errors
 /// What `out` reports; a head that cannot be encoded or has more than [`MAX_HEAD`] bytes, and
 /// more than [`MAX_ARRAYS`] arrays ([`ErrorKind::InvalidInput`], nothing is written).
-pub fn write<H: Serialize>(out: &mut impl Write, head: &H, arrays: &[&[f32]]) -> io::Result<()> {
+pub fn write<H: Serialize>(
+    out: &mut impl Write,
+    head: &H,
+    arrays: &[Vec<&[f32]>],
+) -> io::Result<()> {
     let refused = |why: String| io::Error::new(ErrorKind::InvalidInput, why);
     let head = codec::encode(head)
         .map_err(|error| refused(format!("the head cannot be encoded: {error}")))?;
@@ -131,17 +136,27 @@ pub fn write<H: Serialize>(out: &mut impl Write, head: &H, arrays: &[&[f32]]) ->
     }
     let lengths = Lengths {
         head: head.len() as u64,
-        arrays: arrays.iter().map(|array| array.len() as u64).collect(),
+        arrays: arrays
+            .iter()
+            .map(|array| array.iter().map(|piece| piece.len() as u64).sum())
+            .collect(),
     };
     let mut out = HashedWriter { out, hasher: Sha256::new() };
     out.put(&lengths.encode(&Sha256::digest(&head).into()))?;
     out.put(&head)?;
     let mut buffer = Vec::with_capacity(BLOCK);
-    for block in arrays.iter().flat_map(|array| array.chunks(BLOCK)) {
-        buffer.clear();
-        buffer.extend(block.iter().map(|number| number.to_bits().to_le()));
-        out.put(bytemuck::cast_slice(&buffer))?;
+    for mut piece in arrays.iter().flatten().copied() {
+        while !piece.is_empty() {
+            let (block, rest) = piece.split_at(piece.len().min(BLOCK - buffer.len()));
+            buffer.extend(block.iter().map(|number| number.to_bits().to_le()));
+            piece = rest;
+            if buffer.len() == BLOCK {
+                out.put(bytemuck::cast_slice(&buffer))?;
+                buffer.clear();
+            }
+        }
     }
+    out.put(bytemuck::cast_slice(&buffer))?;
     let digest = out.hasher.finalize();
     out.out.write_all(&digest)
 }
@@ -384,8 +399,14 @@ mod tests {
     }
 
     fn bytes(head: &Head, arrays: &[&[f32]]) -> Vec<u8> {
+        // In two pieces each.
+        let arrays: Vec<Vec<&[f32]>> = arrays
+            .iter()
+            .map(|array| array.split_at(array.len() / 3))
+            .map(|(one, other)| vec![one, other])
+            .collect();
         let mut bytes = Vec::new();
-        write(&mut bytes, head, arrays).unwrap();
+        write(&mut bytes, head, &arrays).unwrap();
         bytes
     }
 
@@ -604,7 +625,7 @@ mod tests {
     #[test]
     fn what_no_reader_would_take_is_not_written() {
         let mut out = Vec::new();
-        let many = write(&mut out, &head(), &[&[][..]; MAX_ARRAYS + 1]).unwrap_err();
+        let many = write(&mut out, &head(), &vec![vec![]; MAX_ARRAYS + 1]).unwrap_err();
         assert!(many.to_string().contains("17 arrays"));
         let long = write(&mut out, &"x".repeat(MAX_HEAD), &[]).unwrap_err();
         assert!(long.to_string().contains("may have 67108864"));
@@ -629,11 +650,11 @@ mod tests {
         }
         for room in [0, PREFIX, FIXED, FIXED + 10, good.len() - 1] {
             let mut out = vec![0; room];
-            assert!(write(&mut out.as_mut_slice(), &head(), &[&[0.0; 2 * BLOCK]]).is_err());
+            assert!(write(&mut out.as_mut_slice(), &head(), &[vec![&[0.0; 2 * BLOCK]]]).is_err());
         }
         if cfg!(target_os = "linux") {
             let mut full = std::fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
-            let error = write(&mut full, &head(), &[&[0.0]]).unwrap_err();
+            let error = write(&mut full, &head(), &[vec![&[0.0]]]).unwrap_err();
             assert_eq!(error.kind(), ErrorKind::StorageFull);
         }
     }

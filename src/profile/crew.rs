@@ -86,12 +86,12 @@ impl CrewProfile {
         let mut some = program.clone();
         some.options.stop_after = Some(steps);
         some.options.warp.frames = 0;
-        let made = crew::carry_out(&some, &begin, simd, options, &mut Unobserved, None)?;
+        let made = crew::carry_out(&some, begin.clone(), simd, options, &mut Unobserved, None)?;
         let (_, summary, workers) = made;
         let descent = summary.seconds.iter().filter(|(phase, _)| *phase == Phase::Descent);
         let seconds: f64 = descent.map(|(_, seconds)| seconds).sum();
         let task = codec::encode(&Task::Idle { steps: IDLE })?;
-        let (reports, _) = crew::employ(program, &begin, simd, options, task)?;
+        let (reports, _) = crew::employ(program, begin, simd, options, task)?;
         let mut idle = Vec::new();
         for report in reports {
             idle.push(codec::decode::<f64, LIMIT>(&report)?);
@@ -148,7 +148,7 @@ pub fn spans(
 ) -> Result<Vec<Vec<Span>>, CrewProfileError> {
     let begin = Begin::new(program, None)?;
     let task = codec::encode(&Task::Trace { most: most / program.team.all_threads() })?;
-    let (reports, _) = crew::employ(program, &begin, simd, options, task)?;
+    let (reports, _) = crew::employ(program, begin, simd, options, task)?;
     let mut workers = Vec::new();
     for report in reports {
         workers.push(codec::decode::<Vec<Span>, LIMIT>(&report)?);

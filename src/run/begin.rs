@@ -37,7 +37,7 @@ impl Begin {
     }
 
     /// Puts it where the program's ranks look for it.
-    pub fn put(&self, program: &Program, world: &World, storage: &mut Storage) {
+    pub fn put(self, program: &Program, world: &World, storage: &mut Storage) {
         storage.tile_mut(program.options.shape).copy_from_slice(&self.samples);
         if let Some(moments) = &self.moments {
             storage.put_moments(moments);

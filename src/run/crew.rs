@@ -129,7 +129,7 @@ const FAREWELL: Duration = Duration::from_millis(300);
 /// If there is too little memory, if workers do not start, or if too many are lost.
 pub fn carry_out(
     program: &Program,
-    begin: &Begin,
+    begin: Begin,
     simd: Simd,
     options: &CrewOptions,
     observer: &mut dyn Observer,
@@ -174,7 +174,7 @@ pub fn carry_out(
 /// If there is too little memory, if workers do not start, or if one is lost.
 pub fn employ(
     program: &Program,
-    begin: &Begin,
+    begin: Begin,
     simd: Simd,
     options: &CrewOptions,
     task: Vec<u8>,
@@ -196,7 +196,7 @@ pub fn employ(
 /// Starts the workers of a program on memory that holds what it begins with.
 fn start(
     program: &Program,
-    begin: &Begin,
+    begin: Begin,
     simd: Simd,
     options: &CrewOptions,
     other: Option<Vec<u8>>,

@@ -275,7 +275,7 @@ impl RunFolder {
         &mut self,
         number: u64,
         head: &H,
-        arrays: &[&[f32]],
+        arrays: &[Vec<&[f32]>],
     ) -> Result<(), FolderError> {
         self.put(number, |mut out| checkpoint::write(&mut out, head, arrays))
     }
@@ -500,12 +500,12 @@ mod tests {
         drop(create(path).unwrap());
         for number in numbers {
             let mut file = File::create(path.join(format!("checkpoint-{number}"))).unwrap();
-            checkpoint::write(&mut file, &number.to_string(), &[&[*number as f32]]).unwrap();
+            checkpoint::write(&mut file, &number.to_string(), &[vec![&[*number as f32]]]).unwrap();
         }
     }
 
     fn save(folder: &mut RunFolder, number: u64) -> Result<(), FolderError> {
-        folder.save(number, &number.to_string(), &[&[number as f32]])
+        folder.save(number, &number.to_string(), &[vec![&[number as f32]]])
     }
 
     fn newest(path: &Path) -> Result<Loaded<String>, FolderError> {

@@ -233,8 +233,7 @@ impl Keeper {
             record: record.to_values(),
             invocation: self.invocation.clone(),
         };
-        let [first, second] = state.moments();
-        self.folder()?.save(u64::from(done) + 1, &head, &[&state.samples(), first, second])?;
+        self.folder()?.save(u64::from(done) + 1, &head, &state.arrays())?;
         self.saved_at = Some(done);
         Ok(())
     }

@@ -28,7 +28,7 @@ pub fn optimize(
 ) -> Result<(Tile, Summary), ProgramError> {
     let program = Program::new(options, Team::alone())?;
     let begin = Begin::new(&program, start)?;
-    carry_out(&program, &begin, simd, observer, None)
+    carry_out(&program, begin, simd, observer, None)
 }
 
 /// Carries out a program from where it begins, and writes checkpoints if there is someone to keep
@@ -38,7 +38,7 @@ pub fn optimize(
 /// If there is too little memory.
 pub fn carry_out(
     program: &Program,
-    begin: &Begin,
+    begin: Begin,
     simd: Simd,
     observer: &mut dyn Observer,
     keeper: Option<&mut Keeper>,
@@ -56,10 +56,10 @@ pub fn carry_out(
     });
     let mut watch =
         Alone { program, observer, keeper, record: &record, clock: &mut clock, reason: None };
-    let tile = program.carry_out(&world, storage, simd, &mut watch)?;
+    let section = program.carry_out(&world, storage, simd, &mut watch)?;
     let reason = watch.reason;
     let shape = program.options.shape;
-    let tile = tile_of(&tile.slice()[..shape.coordinates()], shape);
+    let tile = tile_of(&section.slice()[..shape.coordinates()], shape);
     Ok((tile, summary(program, &world, &record, reason, clock.seconds())))
 }
 

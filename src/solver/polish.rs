@@ -271,12 +271,8 @@ impl Polish {
 }
 
 impl Snapshot for Polish {
-    fn samples(&self) -> Vec<f32> {
-        self.state.line_order()
-    }
-
-    fn moments(&self) -> [&[f32]; 2] {
-        self.state.moments()
+    fn arrays(&self) -> [Vec<&[f32]>; 3] {
+        self.state.arrays()
     }
 }
 

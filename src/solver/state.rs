@@ -15,11 +15,8 @@ use crate::tile::{Reach, Rows, TileShape};
 
 /// The state of a phase between two steps.
 pub trait Snapshot {
-    /// The samples, in line order.
-    fn samples(&self) -> Vec<f32>;
-
-    /// Adam's moments, in line order.
-    fn moments(&self) -> [&[f32]; 2];
+    /// The samples and both moments, in line order and in pieces.
+    fn arrays(&self) -> [Vec<&[f32]>; 3];
 }
 
 /// Samples and Adam's moments of a tile.
@@ -101,13 +98,12 @@ impl State {
 
     /// The samples in line order.
     pub fn line_order(&self) -> Vec<f32> {
-        line_order(&self.rows, self.samples.whole())
+        own_rows(&self.rows, self.samples.whole()).concat()
     }
 
-    /// The moments in line order.
-    pub fn moments(&self) -> [&[f32]; 2] {
-        let coordinates = self.rows.shape().coordinates();
-        [&self.first, &self.second].map(|moments| &moments.whole()[..coordinates])
+    /// The samples and both moments, in line order and in pieces.
+    pub fn arrays(&self) -> [Vec<&[f32]>; 3] {
+        arrays(&self.rows, [&self.samples, &self.first, &self.second].map(Parts::whole))
     }
 
     /// Replaces the samples by others in line order, and keeps the moments. For a rank that is
@@ -125,17 +121,17 @@ impl State {
     }
 }
 
-/// The samples that lie in rows, in line order.
-fn line_order(rows: &Rows, samples: &[f32]) -> Vec<f32> {
-    let shape = rows.shape();
-    let mut words = Vec::with_capacity(shape.coordinates());
-    for y in 0..shape.height() {
-        for t in 0..shape.frames() {
-            let start = rows.word(0, y, t);
-            words.extend(&samples[start..start + rows.own()]);
-        }
-    }
-    words
+/// The rows of samples without the copies around them, in line order.
+fn own_rows<'a>(rows: &Rows, samples: &'a [f32]) -> Vec<&'a [f32]> {
+    let frames = rows.shape().frames();
+    let row = |i: usize| &samples[rows.word(0, i / frames, i % frames)..][..rows.own()];
+    (0..rows.shape().height() * frames).map(row).collect()
+}
+
+/// Samples and moments as they lie in a phase, in line order and in pieces.
+fn arrays<'a>(rows: &Rows, [samples, first, second]: [&'a [f32]; 3]) -> [Vec<&'a [f32]>; 3] {
+    let coordinates = rows.shape().coordinates();
+    [own_rows(rows, samples), vec![&first[..coordinates]], vec![&second[..coordinates]]]
 }
 
 /// The state of a phase that other ranks carry out, seen while they wait.
@@ -152,14 +148,9 @@ impl<'a> Onlooker<'a> {
 }
 
 impl Snapshot for Onlooker<'_> {
-    fn samples(&self) -> Vec<f32> {
-        line_order(&self.rows, self.storage.samples.slice())
-    }
-
-    fn moments(&self) -> [&[f32]; 2] {
-        let coordinates = self.rows.shape().coordinates();
-        let Storage { first, second, .. } = self.storage;
-        [first, second].map(|moments| &moments.slice()[..coordinates])
+    fn arrays(&self) -> [Vec<&[f32]>; 3] {
+        let Storage { samples, first, second, .. } = self.storage;
+        arrays(&self.rows, [samples, first, second].map(|section| section.slice()))
     }
 }
 

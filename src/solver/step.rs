@@ -234,12 +234,8 @@ impl<P: Probe> Descent<P> {
 }
 
 impl<P> Snapshot for Descent<P> {
-    fn samples(&self) -> Vec<f32> {
-        self.state.line_order()
-    }
-
-    fn moments(&self) -> [&[f32]; 2] {
-        self.state.moments()
+    fn arrays(&self) -> [Vec<&[f32]>; 3] {
+        self.state.arrays()
     }
 }
 

@@ -192,9 +192,14 @@ impl Storage {
         &mut self.work.slice_mut()[..shape.coordinates()]
     }
 
-    /// The section in which the tile lies, in line order, after so many frames of the warp.
+    /// The section in which the tile lies, in line order, after so many frames of the warp. The
+    /// memory of the others is given back.
     pub fn into_tile(self, frames: u32) -> Section {
-        if frames.is_multiple_of(2) { self.work } else { self.samples }
+        let Self { samples, first, second, work, .. } = self;
+        let (tile, other) =
+            if frames.is_multiple_of(2) { (work, samples) } else { (samples, work) };
+        [first, second, other].into_iter().for_each(Section::discard);
+        tile
     }
 
     /// Sets Adam's moments, in line order.

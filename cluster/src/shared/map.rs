@@ -19,6 +19,8 @@ pub struct Map {
     /// Where the memory behind the header begins.
     start: usize,
     len: usize,
+    /// Whether it is a file's.
+    shared: bool,
 }
 
 /// Why memory cannot be had.
@@ -96,7 +98,7 @@ impl Map {
         // Only a hint: without huge pages everything works as well, if slower.
         #[cfg(target_os = "linux")]
         let _ = map.advise(memmap2::Advice::HugePage);
-        Ok(Self { raw: map.into(), start: 0, len })
+        Ok(Self { raw: map.into(), start: 0, len, shared: false })
     }
 
     /// Makes an empty file one of shared memory and maps it.
@@ -134,7 +136,7 @@ impl Map {
             return Err(MapError::Header("its size is not what its header says"));
         }
         let raw = MmapRaw::map_raw(file).map_err(system)?;
-        Ok(Self { raw, start: Header::BYTES, len })
+        Ok(Self { raw, start: Header::BYTES, len, shared: true })
     }
 
     /// Bytes behind the header.
@@ -145,6 +147,28 @@ impl Map {
     /// Whether there are none.
     pub fn is_empty(&self) -> bool {
         self.len == 0
+    }
+
+    /// Gives whole pages of some bytes back to the system, as far as it takes them; they are zeros
+    /// if somebody looks at them again.
+    pub(super) fn discard(&self, start: usize, len: usize) {
+        #[cfg(target_os = "linux")]
+        {
+            use memmap2::UncheckedAdvice;
+            let page = rustix::param::page_size();
+            let first = (self.start + start).next_multiple_of(page);
+            let end = (self.start + start + len) / page * page;
+            let advice =
+                if self.shared { UncheckedAdvice::Remove } else { UncheckedAdvice::DontNeed };
+            if first < end {
+                // SAFETY: the pages lie in a section (`Section::discard` gives it up, so that no
+                // reference into it is left in this process), and zeros are a value of all that
+                // sections hold. Refused, it does nothing.
+                let _ = unsafe { self.raw.unchecked_advise_range(advice, first, end - first) };
+            }
+        }
+        #[cfg(not(target_os = "linux"))]
+        let _ = (start, len);
     }
 
     /// The first byte behind the header; it is aligned to a page.
@@ -259,6 +283,20 @@ mod tests {
         assert!(spoil(&|file| file.set_len(9000).unwrap()).contains("size"));
         assert!(spoil(&|file| file.set_len(20).unwrap()).contains("no header"));
         assert!(spoil(&|file| file.set_len(1 << 20).unwrap()).contains("size"));
+    }
+
+    #[test]
+    fn discarded_pages_are_zeros_and_their_neighbours_stay() {
+        let file = tempfile::tempfile().unwrap();
+        let header = Header { len: 100_000, run: 1 };
+        for map in [Map::private(100_000).unwrap(), Map::create(&file, header).unwrap()] {
+            let mut arena = crate::shared::Arena::new(map);
+            let mut sections = [(); 3].map(|()| arena.take(30_000));
+            sections.iter_mut().for_each(|section| section.slice_mut::<u8>().fill(7));
+            let [before, middle, after] = sections;
+            middle.discard();
+            assert!(before.slice::<u8>().iter().chain(after.slice()).all(|&byte| byte == 7));
+        }
     }
 
     #[test]

@@ -88,6 +88,12 @@ impl Section {
         self.map.base().wrapping_add(self.start).cast()
     }
 
+    /// Gives its memory back to the system, in all processes that share it: nobody is to look at
+    /// it any more.
+    pub fn discard(self) {
+        self.map.discard(self.start, self.len);
+    }
+
     /// Gives each job the ranges of it that are its own, in units of `T`.
     ///
     /// # Panics
