@@ -79,6 +79,19 @@ impl Pull for f32 {
     }
 }
 
+impl Factors {
+    /// A coordinate and its moments after the step.
+    #[inline(always)]
+    fn step<P: Pull>(self, pull: P, x: f32, m: f32, v: f32) -> [f32; 3] {
+        let Self { unit, beta1, beta2, rate, second: correction, epsilon } = self;
+        let pull = pull.value() * unit;
+        let m = beta1 * m + (1.0 - beta1) * pull;
+        let v = beta2 * v + (1.0 - beta2) * (pull * pull);
+        let move_by = rate * m / ((v * correction).sqrt() + epsilon);
+        [clamp_coordinate(x + move_by), m, v]
+    }
+}
+
 /// One step of a run of coordinates, in place.
 pub struct Update<'a, P> {
     /// What the step does.
@@ -98,15 +111,37 @@ impl<P: Pull> Vectorized for Update<'_, P> {
 
     #[inline(always)]
     fn run<I: Isa>(self, _: I) {
-        let Factors { unit, beta1, beta2, rate, second: correction, epsilon } = self.factors;
         let n = self.pulls.len();
         let (x, m, v) = (&mut self.samples[..n], &mut self.first[..n], &mut self.second[..n]);
         for i in 0..n {
-            let pull = self.pulls[i].value() * unit;
-            m[i] = beta1 * m[i] + (1.0 - beta1) * pull;
-            v[i] = beta2 * v[i] + (1.0 - beta2) * (pull * pull);
-            let move_by = rate * m[i] / ((v[i] * correction).sqrt() + epsilon);
-            x[i] = clamp_coordinate(x[i] + move_by);
+            [x[i], m[i], v[i]] = self.factors.step(self.pulls[i], x[i], m[i], v[i]);
+        }
+    }
+}
+
+/// One step of a run of coordinates, from one place to another.
+pub struct UpdateTo<'a, P> {
+    /// What the step does.
+    pub factors: Factors,
+    /// Downhill gradient.
+    pub pulls: &'a [P],
+    /// Coordinates, first and second moments.
+    pub from: [&'a [f32]; 3],
+    /// The same after the step.
+    pub to: [&'a mut [f32]; 3],
+}
+
+impl<P: Pull> Vectorized for UpdateTo<'_, P> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<I: Isa>(self, _: I) {
+        let Self { factors, pulls, from, to } = self;
+        let n = pulls.len();
+        let [x, m, v] = from.map(|slice| &slice[..n]);
+        let [to_x, to_m, to_v] = to.map(|slice| &mut slice[..n]);
+        for i in 0..n {
+            [to_x[i], to_m[i], to_v[i]] = factors.step(pulls[i], x[i], m[i], v[i]);
         }
     }
 }

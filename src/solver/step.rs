@@ -86,7 +86,8 @@ impl<P: Probe> Descent<P> {
     }
 
     /// Prepares `steps` steps from the samples that lie in the storage, by all ranks of a world;
-    /// a `fresh` descent, or one that goes on with the moments that are there.
+    /// a
+    /// `fresh` descent, or one that goes on with the moments that are there.
     pub fn enter(
         world: Arc<World>,
         storage: Storage,

@@ -133,8 +133,8 @@ impl StoragePlan {
     pub fn shares(&self, rank: usize) -> Vec<Range<usize>> {
         let ranks = self.team.ranks;
         let mut start = self.board().room();
-        let coordinates = 4 * self.shape.coordinates();
-        [4 * self.samples, coordinates, coordinates, 4 * self.work]
+        let moments = 4 * self.shape.coordinates();
+        [4 * self.samples, moments, moments, 4 * self.work]
             .into_iter()
             .map(|bytes| {
                 let own = start + bytes * rank / ranks..start + bytes * (rank + 1) / ranks;

@@ -7,8 +7,10 @@
 //!
 //! A job's word says the round, the state and the holder, all that there is to know; a job is
 //! claimed by exchanging a word that says *free*, or an earlier round, for one's own. A job that
-//! changes memory in place does so unit by unit, and saves each unit in the journal of its thread
-//! before: what a dead rank left half done is put back before the job is released.
+//! changes memory does so unit by unit, and each unit is made in the journal of its thread before
+//! it is put in place: what a dead rank left half done is ended before the job is released. (To
+//! save what was there before instead made the steps of the paper's tile a sixth longer: memory
+//! was then waited for in the copy, and no longer beside the arithmetic.)
 
 use std::cell::Cell;
 use std::ops::Range;
@@ -26,7 +28,7 @@ pub struct BoardPlan {
     pub threads: usize,
     /// Most jobs of a round.
     pub jobs: usize,
-    /// Most bytes that a unit of a job changes; 0 if no rank can be lost.
+    /// Most bytes of a unit of a job; 0 if no rank can be lost.
     pub journal: usize,
 }
 
@@ -62,8 +64,10 @@ const STOP_ASKED: usize = HOLD_ASKED + 3;
 const STOPPED: usize = HOLD_ASKED + 4;
 const SHARED: usize = 4 * LINE;
 
-/// Words at the beginning of a journal: how many slices, and for each its place and length.
-const SLICES: usize = 7;
+/// Most slices of a unit.
+const SLICES: usize = 3;
+/// Words at the beginning of a journal: how many slices, and for each where it belongs in the map
+/// and how many bytes it has.
 const JOURNAL_HEAD: usize = 1 + 2 * SLICES;
 
 /// Counters of a rank; [`Board::counter`] reads them.
@@ -164,13 +168,12 @@ impl Board {
         (waits && self.completed() == held).then_some(held)
     }
 
-    /// Lets the ranks go on, or takes the wish back that they wait.
+    /// Lets the ranks go on, once they are [`Self::held`] or dead.
     pub fn release(&self) {
         self.words[HOLD_ASKED].store(0, Ordering::Release);
-        if let Some(held) = self.held() {
-            self.words[RELEASED].store(held, Ordering::Release);
-            self.wake();
-        }
+        let held = self.words[HELD].load(Ordering::Acquire);
+        self.words[RELEASED].store(held, Ordering::Release);
+        self.wake();
     }
 
     /// Decides, as the holder of a step's last job, what is to happen after it.
@@ -302,8 +305,8 @@ impl Board {
         unsafe { &*word.cast() }
     }
 
-    /// Gives back what a rank had claimed, after putting back what it left half done. Returns how
-    /// many jobs that were.
+    /// Gives back what a rank had claimed, after ending the units that it left half done. Returns
+    /// how many jobs that were.
     ///
     /// The rank must be dead: stopped is not enough, it could wake and write.
     pub fn release_rank(&self, rank: usize) -> usize {
@@ -317,8 +320,9 @@ impl Board {
             }
             let progress = self.progress(job).load(Ordering::Acquire);
             if progress >> ROUND_SHIFT == round && progress & OPEN != 0 {
-                self.put_back(thread);
-                self.progress(job).store(progress & !OPEN, Ordering::Release);
+                self.put_in_place(thread);
+                // The next unit, and not open: one more in the bits above.
+                self.progress(job).store(progress + 1, Ordering::Release);
             }
             self.job(job).store(round << ROUND_SHIFT | FREE << STATE_SHIFT, Ordering::Release);
             released += 1;
@@ -327,17 +331,16 @@ impl Board {
         released
     }
 
-    /// Puts back what is in a thread's journal.
-    fn put_back(&self, thread: usize) {
+    /// Puts what is in a thread's journal in place.
+    fn put_in_place(&self, thread: usize) {
         let Some(journals) = &self.journals else { return };
         let words = self.plan.journal_words();
         let journal = &journals.slice::<u64>()[thread * words..][..words];
-        let data: &[u8] = bytemuck::cast_slice(&journal[JOURNAL_HEAD..]);
-        let mut from = 0;
-        for slice in 0..(journal[0] as usize).min(SLICES) {
-            let (offset, len) = (journal[1 + 2 * slice] as usize, journal[2 + 2 * slice] as usize);
-            Section::restore(self.words.map(), offset, &data[from..from + len]);
-            from += len;
+        let (head, data) = journal.split_at(JOURNAL_HEAD);
+        let mut data: &[u8] = bytemuck::cast_slice(data);
+        for place in head[1..].chunks_exact(2).take(head[0] as usize) {
+            let bytes = data.split_off(..place[1] as usize).expect("room in the journal");
+            Section::put(self.words.map(), place[0] as usize, bytes);
         }
     }
 }
@@ -408,55 +411,67 @@ impl Job<'_> {
         self.done.get()
     }
 
-    /// Changes one unit in place: `change` gets slices that are as they were before, even if
-    /// somebody died while changing them.
+    /// Changes one unit of the job, such that it is changed whole or not at all, whatever happens
+    /// to this rank.
+    ///
+    /// If no rank can be lost, `change` does it in place. Otherwise `make` reads what the slices
+    /// were and writes what they are to be to the journal, from where they are put in place;
+    /// `midway` is called while that is half done.
     ///
     /// # Panics
-    /// If the slices are more than the board has room for, or not in shared memory.
-    pub fn unit<'s, const N: usize>(
+    /// If the board has no room for the slices, or they are not in shared memory.
+    pub fn unit<const N: usize>(
         &self,
-        slices: [&'s mut [f32]; N],
-        change: impl FnOnce([&'s mut [f32]; N]),
+        mut slices: [&mut [f32]; N],
+        change: impl FnOnce([&mut [f32]; N]),
+        make: impl FnOnce([&[f32]; N], [&mut [f32]; N]),
+        midway: impl Fn(),
     ) {
+        let units = self.done.get();
+        self.done.set(units + 1);
+        let Some(journals) = &self.board.journals else { return change(slices) };
+        let (head, mut data) = self.journal(journals);
+        self.address(head, &slices);
+        let mut made = slices
+            .each_ref()
+            .map(|slice| data.split_off_mut(..slice.len()).expect("room in the journal"));
+        make(slices.each_ref().map(|slice| &**slice), made.each_mut().map(|slice| &mut **slice));
+        // The journal is whole before it is said to be open, and that is said before anything
+        // changes; what a process has written when it dies was written in this order.
         let progress = self.board.progress(self.job);
         let word = |units: usize, open: u64| self.round << ROUND_SHIFT | (units as u64) << 1 | open;
-        let units = self.done.get();
-        if let Some(journals) = &self.board.journals {
-            self.save(journals, &slices);
-            // The journal is there before it is said to be, and that is said before anything
-            // changes; a process that dies leaves its writes in this order.
-            progress.store(word(units, OPEN), Ordering::Release);
-            fence(Ordering::Release);
+        progress.store(word(units, OPEN), Ordering::Release);
+        fence(Ordering::Release);
+        for (slice, made) in slices.iter_mut().zip(made) {
+            slice.copy_from_slice(made);
+            midway();
         }
-        change(slices);
-        self.done.set(units + 1);
-        if self.board.journals.is_some() {
-            progress.store(word(units + 1, 0), Ordering::Release);
+        progress.store(word(units + 1, 0), Ordering::Release);
+    }
+
+    /// Writes down where slices lie.
+    fn address<const N: usize>(&self, head: &mut [u64], slices: &[&mut [f32]; N]) {
+        const { assert!(N <= SLICES) };
+        let map = self.board.words.map();
+        head[0] = N as u64;
+        for (slice, place) in slices.iter().zip(head[1..].chunks_exact_mut(2)) {
+            let offset = slice.as_ptr().addr().wrapping_sub(map.base().addr());
+            assert!(offset <= map.len(), "slices of shared memory");
+            (place[0], place[1]) = (offset as u64, size_of_val(*slice) as u64);
         }
     }
 
-    /// Writes slices to the journal of this thread.
-    fn save<const N: usize>(&self, journals: &Section, slices: &[&mut [f32]; N]) {
-        const { assert!(N <= SLICES) };
+    /// The journal of this thread: its head and its data.
+    fn journal<'j>(&'j self, journals: &'j Section) -> (&'j mut [u64], &'j mut [f32]) {
         let words = self.board.plan.journal_words();
-        let size: usize = slices.iter().map(|slice| size_of_val(*slice)).sum();
-        assert!(size <= self.board.plan.journal, "{size} bytes in a journal");
-        let base = self.board.words.map().base().addr();
         let start: *mut u64 = journals.pointer();
         // SAFETY: the journal of a thread lies in the section, and it is this thread's alone:
-        // `Job` is not `Sync`, and nobody else has the number. It is read when the thread is dead.
+        // `Job` is not `Sync`, nobody else has its number, and `unit`, the only caller, is done
+        // with it before it returns. Others read it when the thread is dead.
         let journal =
             unsafe { std::slice::from_raw_parts_mut(start.add(self.thread * words), words) };
         let (head, data) = journal.split_at_mut(JOURNAL_HEAD);
-        let mut data: &mut [u8] = bytemuck::cast_slice_mut(data);
-        head[0] = N as u64;
-        for (slice, place) in slices.iter().zip(head[1..].chunks_exact_mut(2)) {
-            let bytes: &[u8] = bytemuck::cast_slice(slice);
-            let offset = bytes.as_ptr().addr().wrapping_sub(base);
-            assert!(offset <= self.board.words.map().len(), "slices of shared memory");
-            (place[0], place[1]) = (offset as u64, bytes.len() as u64);
-            data.split_off_mut(..bytes.len()).expect("room").copy_from_slice(bytes);
-        }
+        (head, bytemuck::cast_slice_mut(data))
     }
 }
 
@@ -493,7 +508,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_dead_rank_had_is_released_and_put_back() {
+    fn what_a_dead_rank_had_is_released_and_what_it_had_open_is_ended() {
         let (board, mut arena) = board();
         let mut parts =
             arena.take(400).parts::<f32>((0..5).map(|i| vec![i * 8..i * 8 + 8]).collect());
@@ -504,23 +519,28 @@ mod tests {
             let shards = (&mut parts,);
             let (mut part,) = shards.part(token);
             let (first, second) = part.piece(0).split_at_mut(4);
-            job.unit([first], |[first]| first.fill(2.0));
+            let to = |x: f32| {
+                move |_: [&[f32]; 2], to: [&mut [f32]; 2]| {
+                    to.into_iter().for_each(|slice| slice.fill(x));
+                }
+            };
+            let nothing = |_: [&mut [f32]; 2]| unreachable!("there is a journal");
+            let (a, b) = first.split_at_mut(1);
+            job.unit([a, b], nothing, to(2.0), || ());
+            let (a, b) = second.split_at_mut(1);
             let died = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
-                job.unit([second], |[second]| {
-                    second[0] = 9.0;
-                    panic!("dies");
-                });
+                job.unit([a, b], nothing, to(3.0), || panic!("dies"));
             }));
             assert!(died.is_err());
         }
         let other = board.claim(7, 3, 1).unwrap();
-        assert_eq!(parts.whole()[32..40], [2.0, 2.0, 2.0, 2.0, 9.0, 1.0, 1.0, 1.0]);
+        assert_eq!(parts.whole()[32..40], [2.0, 2.0, 2.0, 2.0, 3.0, 1.0, 1.0, 1.0]);
         assert_eq!(board.release_rank(2), 0);
         assert_eq!(board.release_rank(1), 1);
-        assert_eq!(parts.whole()[32..40], [2.0, 2.0, 2.0, 2.0, 1.0, 1.0, 1.0, 1.0]);
+        assert_eq!(parts.whole()[32..40], [2.0, 2.0, 2.0, 2.0, 3.0, 3.0, 3.0, 3.0]);
         assert!(board.claim(7, 3, 5).is_none());
         let again = board.claim(7, 4, 5).unwrap();
-        assert_eq!(again.job.units_done(), 1);
+        assert_eq!(again.job.units_done(), 2);
         again.job.finish();
         other.job.finish();
         // In the next round nothing of it is left.

@@ -113,8 +113,8 @@ impl Section {
         Words(self)
     }
 
-    /// Puts back bytes of the map that were saved with [`Self::offset`].
-    pub(super) fn restore(map: &Map, offset: usize, bytes: &[u8]) {
+    /// Puts bytes of a journal in their place in the map.
+    pub(super) fn put(map: &Map, offset: usize, bytes: &[u8]) {
         assert!(offset <= map.len() && bytes.len() <= map.len() - offset);
         // SAFETY: the bytes lie in the map, and `bytes` is another section's. Only the board calls
         // this, for a job whose holder is dead and which nobody can claim before it is done.
