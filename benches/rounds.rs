@@ -23,7 +23,7 @@ const JOBS: [usize; 2] = [8, 128];
 fn rounds(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("step without work");
     for ranks in [1, 2] {
-        let plan = BoardPlan { ranks, threads: 1, jobs: 128, journal: 3072 };
+        let plan = BoardPlan { ranks, threads: 1, jobs: 128, journal: 1024 };
         let file = tempfile::tempfile().expect("a file");
         let header = Header { len: plan.room() as u64, run: 1 };
         Map::create(&file, header).expect("shared memory");
@@ -80,7 +80,7 @@ fn journal(criterion: &mut Criterion) {
         let (world, mut storage) =
             StoragePlan::new(gradient.partition(), team).private().expect("memory");
         storage.tile_mut(shape).copy_from_slice(&start.words);
-        let how = (Simd::detect(), true);
+        let how = (Simd::detect(), 0);
         one.install(|| {
             Descent::enter(world, storage, gradient.clone(), ADAM, 10_000, how, || Unprobed)
         })

@@ -209,7 +209,7 @@ fn trace(
     let (zero, since) = (Instant::now(), SystemTime::now());
     let probe = || SpanProbe::new(zero, now.clone(), DETAILED, most);
     let (adam, steps) = (program.options.adam, program.options.steps);
-    let mut descent = Descent::enter(world, storage, gradient, adam, steps, (simd, true), probe);
+    let mut descent = Descent::enter(world, storage, gradient, adam, steps, (simd, 0), probe);
     for step in 0..TRACED {
         now.store(step, Ordering::Relaxed);
         descent.step(step);

@@ -40,7 +40,8 @@ impl Begin {
     pub fn put(self, program: &Program, world: &World, storage: &mut Storage) {
         storage.tile_mut(program.options.shape).copy_from_slice(&self.samples);
         if let Some(moments) = &self.moments {
-            storage.put_moments(moments);
+            let can_fail = program.team.can_fail;
+            storage.put_moments(program.options.shape, can_fail, program.from.step, moments);
         }
         storage.record.restore(&self.record);
         world.board().begin_after(rounds::enter(program.from.phase) - 1);

@@ -337,7 +337,7 @@ impl Crew<'_> {
                 Phase::Polish => *self.polish_reach.get_or_insert_with(|| self.program.sight()),
                 _ => self.program.partition().reach(),
             };
-            let onlooker = Onlooker::new(storage, self.program.options.shape, reach);
+            let onlooker = Onlooker::new(storage, self.program.options.shape, reach, step);
             let at = Position { phase, step };
             if let Err(error) = keeper.save(self.program, at, &storage.record, &onlooker) {
                 self.observer.tell(&format!("no checkpoint was written: {error}"));

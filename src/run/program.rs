@@ -213,7 +213,7 @@ impl Program {
         if due && !is_over(at.phase) {
             watch.phase(at.phase);
             let gradient = self.gradient(simd)?;
-            let how = (simd, at.step == 0);
+            let how = (simd, at.step);
             let world = Arc::clone(world);
             let mut descent =
                 Descent::enter(world.clone(), storage, gradient, adam, steps, how, || Unprobed);
@@ -234,7 +234,7 @@ impl Program {
             watch.phase(at.phase);
             let classes = self.kernel.classes();
             let classes: Vec<_> = classes.iter().map(|class| (class.weight, &class.taps)).collect();
-            let how = (simd, at.step == 0);
+            let how = (simd, at.step);
             let mut polish =
                 Polish::enter(world.clone(), storage, shape, &classes, polish_options, how);
             loop {

@@ -133,21 +133,21 @@ impl Polish {
         let plan = StoragePlan::new(&Partition::new(shape, Reach::default(), 1), Team::alone());
         let (world, mut storage) = plan.with_polish(reach(&all)).private()?;
         storage.tile_mut(shape).copy_from_slice(&samples.words);
-        Ok(Self::on(world, storage, shape, all, options, (simd, true)))
+        Ok(Self::on(world, storage, shape, all, options, (simd, 0)))
     }
 
-    /// Prepares the descent from the samples that lie in the storage, by all ranks of a world; a
-    /// `fresh` one, or one that goes on with the moments that are there.
+    /// Prepares the descent from the samples that lie in the storage, by all ranks of a world; from
+    /// step `first_step` on. After step 0, it goes on with the moments that are there.
     pub fn enter(
         world: Arc<World>,
         storage: Storage,
         shape: TileShape,
         classes: &[(f64, &KernelTaps)],
         options: PolishOptions,
-        (simd, fresh): (Simd, bool),
+        (simd, first_step): (Simd, u32),
     ) -> Self {
         let all = offsets(classes, shape.frames());
-        Self::on(world, storage, shape, all, options, (simd, fresh))
+        Self::on(world, storage, shape, all, options, (simd, first_step))
     }
 
     fn on(
@@ -156,7 +156,7 @@ impl Polish {
         shape: TileShape,
         all: Vec<(IVec3, f64)>,
         options: PolishOptions,
-        (simd, fresh): (Simd, bool),
+        (simd, first_step): (Simd, u32),
     ) -> Self {
         let rows = Rows::new(shape, reach(&all));
         let total: f64 = all.iter().map(|(_, g)| g).sum();
@@ -169,7 +169,7 @@ impl Polish {
         let Storage { samples, first, second, work, counts, found, makers, record } = storage;
         let sections = [samples, first, second];
         let line = rows.own() * shape.frames();
-        let state = State::enter(&world, Phase::Polish, rows, sections, work.slice(), fresh);
+        let state = State::enter(&world, Phase::Polish, rows, sections, work.slice(), first_step);
         let band =
             |y: usize| std::iter::once(y * line..(y + BAND).min(shape.height()) * line).collect();
         Self {
@@ -205,15 +205,18 @@ impl Polish {
         self.pull(step);
         let Self { world, options, simd, state, pulls, .. } = self;
         let factors = options.adam.factors(step, options.steps, 1.0);
+        let slots = state.slots;
+        let turns = slots.turns(step);
+        state.step = step + 1;
         let (rows, shards) = state.shards();
         let (frames, own, height) = (rows.shape().frames(), rows.own(), rows.shape().height());
         let pulls = pulls.whole();
         let round = rounds::step(Phase::Polish, step, Half::Update);
         world.round(round, Ends::Step, height, shards, |job, shards| {
-            let mut line = Line::new(rows, shards, job.units_done());
+            let mut line = Line::new((rows, slots), shards, job.units_done());
             for t in job.units_done()..frames {
                 let row = job.index() * frames + t;
-                line.update((world, job), t, factors, &pulls[row * own..][..own], *simd);
+                line.update((world, job), (t, turns), factors, &pulls[row * own..][..own], *simd);
             }
         });
     }

@@ -4,11 +4,15 @@
 //! done again from its start, made the steps of the paper's tile half as long again: with it the
 //! state outgrows the third-level cache.
 //!
-//! Where a rank can be lost, a row must be changed whole or not at all: it is made in a journal that
-//! stays close to its thread, and put in place from there ([`Job::unit`]). That makes steps of the
-//! paper's tile 1.05 times as long. To write moments to the place of the row before, which is done
-//! with by then, was no faster (1.04 times without a journal of samples), and to write down what
-//! was there before was much slower (1.2 times).
+//! Where a rank can be lost, a row must be changed whole or not at all. Its samples are made in a
+//! journal that stays close to the thread, and put in place from there ([`Job::unit`]). Its
+//! moments, which nobody reads in between, move on instead: a line has room for one row more than
+//! there are frames, and each step writes every row to the place of the row before it, which is
+//! done with by then ([`Slots`]). Steps of the paper's tile are 1.04 times as long
+//! for it. To copy moments through the journal as well made them 1.05 times as long, and to write
+//! down what was there before 1.2 times.
+
+use std::ops::Range;
 
 use perceptile_cluster::shared::{Job, Part, Parts, Section};
 use perceptile_cluster::{Ends, World, faults::Place};
@@ -28,11 +32,67 @@ pub trait Snapshot {
 #[derive(Debug)]
 pub(crate) struct State {
     pub rows: Rows,
+    pub slots: Slots,
+    /// The step that is next.
+    pub step: u32,
     /// Each line with its copies above the tile and below it.
     pub samples: Parts<f32>,
-    /// Moments in the order of the rows, without the copies around them.
+    /// Moments in slots, line after line.
     pub first: Parts<f32>,
     pub second: Parts<f32>,
+}
+
+/// Where the rows of a line's moments lie.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Slots {
+    frames: usize,
+    /// Rows that there is room for: one more than frames, if a rank can be lost.
+    count: usize,
+    /// Words of a row.
+    own: usize,
+}
+
+impl Slots {
+    /// The slots of the lines of a tile.
+    pub fn new(shape: TileShape, can_fail: bool) -> Self {
+        let own = shape.width() * shape.spp() * shape.dims();
+        Self { frames: shape.frames(), count: shape.frames() + usize::from(can_fail), own }
+    }
+
+    /// Words of a line.
+    pub fn line(self) -> usize {
+        self.count * self.own
+    }
+
+    /// Slots that rows have moved on before step number `step`.
+    pub fn turns(self, step: u32) -> usize {
+        if self.count > self.frames { step as usize % self.count } else { 0 }
+    }
+
+    /// Words of the row of frame `t` in a line after so many `turns`, up to one more than slots.
+    pub fn row(self, t: usize, turns: usize) -> Range<usize> {
+        // No remainder: it would take longer than the arithmetic of some samples.
+        let slot = if t >= turns { t - turns } else { t + self.count - turns };
+        slot * self.own..(slot + 1) * self.own
+    }
+
+    /// The rows of all lines before a step, in line order.
+    fn rows(self, moments: &[f32], step: u32) -> Vec<&[f32]> {
+        let turns = self.turns(step);
+        let lines = moments.chunks_exact(self.line());
+        lines.flat_map(|line| (0..self.frames).map(move |t| &line[self.row(t, turns)])).collect()
+    }
+
+    /// Puts moments in line order where they belong before a step.
+    pub fn put(self, moments: &mut [f32], step: u32, rows: &[f32]) {
+        let turns = self.turns(step);
+        let lines = moments.chunks_exact_mut(self.line());
+        for (line, rows) in lines.zip(rows.chunks_exact(self.frames * self.own)) {
+            for (t, row) in rows.chunks_exact(self.own).enumerate() {
+                line[self.row(t, turns)].copy_from_slice(row);
+            }
+        }
+    }
 }
 
 /// Gives every line of `words` its words.
@@ -42,36 +102,39 @@ pub(crate) fn by_line(section: Section, words: usize, lines: usize) -> Parts<f32
 }
 
 impl State {
-    /// Takes over the samples that lie in `plain`, in line order. The moments are set to zero in
-    /// a `fresh` phase, and left as they are in one that goes on.
+    /// Takes over the samples that lie in `plain`, in line order, before step number `step`. The
+    /// moments are set to zero at the start of a phase, and left as they are in one that goes on.
     pub fn enter(
         world: &World,
         phase: Phase,
         rows: Rows,
         [samples, first, second]: [Section; 3],
         plain: &[f32],
-        fresh: bool,
+        step: u32,
     ) -> Self {
         let shape = rows.shape();
         let own = rows.own();
         let words = own * shape.frames();
         let lines = (0..shape.height()).map(|y| rows.line_and_copies(y)).collect();
+        let slots = Slots::new(shape, world.board().plan().journal > 0);
         let mut state = Self {
             samples: samples.parts(lines),
-            first: by_line(first, words, shape.height()),
-            second: by_line(second, words, shape.height()),
+            first: by_line(first, slots.line(), shape.height()),
+            second: by_line(second, slots.line(), shape.height()),
             rows,
+            slots,
+            step,
         };
         let (rows, shards) = state.shards();
         let round = rounds::enter(phase);
         world.round(round, Ends::Half, shape.height(), shards, |job, shards| {
             let y = job.index();
-            let mut line = Line::new(rows, shards, 0);
+            let mut line = Line::new((rows, slots), shards, 0);
             for t in 0..shape.frames() {
                 line.put(t, &plain[y * words + t * own..][..own]);
             }
             world.fault(Place::Exchange);
-            if fresh {
+            if step == 0 {
                 line.first.fill(0.0);
                 line.second.fill(0.0);
             }
@@ -81,7 +144,7 @@ impl State {
 
     /// Writes the samples to `plain` in line order, and gives the sections back.
     pub fn leave(self, world: &World, phase: Phase, plain: &mut Parts<f32>) -> [Section; 3] {
-        let Self { rows, samples, first, second } = self;
+        let Self { rows, samples, first, second, .. } = self;
         let (shape, own) = (rows.shape(), rows.own());
         let from = samples.whole();
         let round = rounds::leave(phase);
@@ -97,7 +160,7 @@ impl State {
 
     /// How the samples lie, and all that a step changes.
     pub fn shards(&mut self) -> (&Rows, Shards<'_>) {
-        let Self { rows, samples, first, second } = self;
+        let Self { rows, samples, first, second, .. } = self;
         (rows, (samples, first, second))
     }
 
@@ -109,7 +172,7 @@ impl State {
     /// The samples and both moments, in line order and in pieces.
     pub fn arrays(&self) -> [Vec<&[f32]>; 3] {
         let sections = [&self.samples, &self.first, &self.second].map(Parts::whole);
-        arrays(&self.rows, sections)
+        arrays(&self.rows, self.slots, self.step, sections)
     }
 
     /// Replaces the samples by others in line order, and keeps the moments. For a rank that is
@@ -135,21 +198,26 @@ fn own_rows<'a>(rows: &Rows, samples: &'a [f32]) -> Vec<&'a [f32]> {
 }
 
 /// Samples and moments as they lie in a phase, in line order and in pieces.
-fn arrays<'a>(rows: &Rows, [samples, first, second]: [&'a [f32]; 3]) -> [Vec<&'a [f32]>; 3] {
-    let coordinates = rows.shape().coordinates();
-    [own_rows(rows, samples), vec![&first[..coordinates]], vec![&second[..coordinates]]]
+fn arrays<'a>(
+    rows: &Rows,
+    slots: Slots,
+    step: u32,
+    [samples, first, second]: [&'a [f32]; 3],
+) -> [Vec<&'a [f32]>; 3] {
+    [own_rows(rows, samples), slots.rows(first, step), slots.rows(second, step)]
 }
 
 /// The state of a phase that other ranks carry out, seen while they wait.
 pub struct Onlooker<'a> {
     storage: &'a Storage,
     rows: Rows,
+    step: u32,
 }
 
 impl<'a> Onlooker<'a> {
-    /// The state that lies in `storage` while a phase is at work whose samples reach so far.
-    pub fn new(storage: &'a Storage, shape: TileShape, reach: Reach) -> Self {
-        Self { storage, rows: Rows::new(shape, reach) }
+    /// The state that lies in `storage` before a step of a phase whose samples reach so far.
+    pub fn new(storage: &'a Storage, shape: TileShape, reach: Reach, step: u32) -> Self {
+        Self { storage, rows: Rows::new(shape, reach), step }
     }
 }
 
@@ -157,7 +225,7 @@ impl Snapshot for Onlooker<'_> {
     fn arrays(&self) -> [Vec<&[f32]>; 3] {
         let Storage { samples, first, second, .. } = self.storage;
         let sections = [samples, first, second].map(|section| section.slice());
-        arrays(&self.rows, sections)
+        arrays(&self.rows, Slots::new(self.rows.shape(), true), self.step, sections)
     }
 }
 
@@ -167,6 +235,7 @@ pub(crate) type Shards<'a> = (&'a mut Parts<f32>, &'a mut Parts<f32>, &'a mut Pa
 /// The rows of one y in all frames.
 pub(crate) struct Line<'a> {
     rows: &'a Rows,
+    slots: Slots,
     samples: &'a mut [f32],
     /// Its copies above the tile and below it.
     copies: Vec<&'a mut [f32]>,
@@ -177,7 +246,7 @@ pub(crate) struct Line<'a> {
 impl<'a> Line<'a> {
     /// A line of which the first `done` rows are as they should be, except for their copies.
     pub fn new(
-        rows: &'a Rows,
+        (rows, slots): (&'a Rows, Slots),
         (samples, first, second): (Part<'a, f32>, Part<'a, f32>, Part<'a, f32>),
         done: usize,
     ) -> Self {
@@ -185,6 +254,7 @@ impl<'a> Line<'a> {
         let mut samples = samples.pieces();
         let mut line = Self {
             rows,
+            slots,
             samples: samples.next().expect("a line of samples"),
             copies: samples.collect(),
             first: only(first),
@@ -194,31 +264,36 @@ impl<'a> Line<'a> {
         line
     }
 
-    /// Moves the samples of frame `t` by Adam, as a unit of a job.
+    /// Moves the samples of frame `t` by Adam in a step before which moments have turned so
+    /// often, as a unit of a job.
     pub fn update<P: Pull>(
         &mut self,
         (world, job): (&World, &Job<'_>),
-        t: usize,
+        (t, turns): (usize, usize),
         factors: Factors,
         pulls: &[P],
         simd: Simd,
     ) {
-        let own = self.rows.own();
-        let moments = t * own..(t + 1) * own;
         let start = t * self.rows.stride() + self.rows.lead();
-        let unit = [
-            &mut self.samples[start..start + own],
-            &mut self.first[moments.clone()],
-            &mut self.second[moments],
-        ];
-        job.unit(
-            unit,
-            |[samples, first, second]| {
-                simd.run(Update { factors, pulls, samples, first, second });
-            },
-            |from, to| simd.run(UpdateTo { factors, pulls, from, to }),
-            || world.fault(Place::Adam),
-        );
+        let samples = &mut self.samples[start..start + self.rows.own()];
+        let row = self.slots.row(t, turns);
+        if self.slots.count == self.slots.frames {
+            let (first, second) = (&mut self.first[row.clone()], &mut self.second[row]);
+            simd.run(Update { factors, pulls, samples, first, second });
+        } else {
+            let two = [row, self.slots.row(t, turns + 1)];
+            let apart = "two rows of a line";
+            let [m, to_m] = self.first.get_disjoint_mut(two.clone()).expect(apart);
+            let [v, to_v] = self.second.get_disjoint_mut(two).expect(apart);
+            job.unit(
+                samples,
+                |x, to_x| {
+                    simd.run(UpdateTo { factors, pulls, from: [x, m, v], to: [to_x, to_m, to_v] });
+                    world.fault(Place::Adam);
+                },
+                || world.fault(Place::Adam),
+            );
+        }
         self.close(t);
     }
 
@@ -259,7 +334,7 @@ mod tests {
         let sections = [storage.samples, storage.first, storage.second];
         let mut plain = by_line(storage.work, rows.own() * 3, 5);
         let mut state =
-            State::enter(&world, Phase::Descent, rows.clone(), sections, plain.whole(), true);
+            State::enter(&world, Phase::Descent, rows.clone(), sections, plain.whole(), 0);
         assert_eq!(state.line_order(), Samples::from_tile(&tile).words);
         let start = (12 + 4) * rows.line() + 2 * rows.stride();
         assert_eq!(state.samples.whole()[start..start + 3], *tile.point(35, 4, 2, 0));

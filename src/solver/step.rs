@@ -82,19 +82,19 @@ impl<P: Probe> Descent<P> {
         let partition = gradient.partition();
         let (world, mut storage) = StoragePlan::new(partition, Team::alone()).private()?;
         storage.tile_mut(partition.shape()).copy_from_slice(&samples.words);
-        Ok(Self::enter(world, storage, gradient, adam, steps, (simd, true), probe))
+        Ok(Self::enter(world, storage, gradient, adam, steps, (simd, 0), probe))
     }
 
     /// Prepares `steps` steps from the samples that lie in the storage, by all ranks of a world;
-    /// a
-    /// `fresh` descent, or one that goes on with the moments that are there.
+    /// from
+    /// step `first_step` on. After step 0, it goes on with the moments that are there.
     pub fn enter(
         world: Arc<World>,
         storage: Storage,
         gradient: Gradient,
         adam: AdamOptions,
         steps: u32,
-        (simd, fresh): (Simd, bool),
+        (simd, first_step): (Simd, u32),
         probe: impl Fn() -> P,
     ) -> Self {
         let partition = gradient.partition();
@@ -105,7 +105,7 @@ impl<P: Probe> Descent<P> {
         let Storage { samples, first, second, work, counts, found, makers, record } = storage;
         let rows = gradient.rows().clone();
         let sections = [samples, first, second];
-        let state = State::enter(&world, Phase::Descent, rows, sections, work.slice(), fresh);
+        let state = State::enter(&world, Phase::Descent, rows, sections, work.slice(), first_step);
         let mut start = 0;
         let patch = |block: &Block| {
             let words = start..start + block.words() + SLACK;
@@ -198,6 +198,9 @@ impl<P: Probe> Descent<P> {
         let round = rounds::step(Phase::Descent, step, Half::Update);
         let factors = adam.factors(step, self.steps, gradient.quantum().unit());
         let patches = patches.whole();
+        let slots = state.slots;
+        let turns = slots.turns(step);
+        state.step = step + 1;
         let (rows, shards) = state.shards();
         let shape = rows.shape();
         let mut start = 0;
@@ -213,14 +216,14 @@ impl<P: Probe> Descent<P> {
             if y == 0 {
                 record.set(step, found.sum(blocks.len()).mean());
             }
-            let mut line = Line::new(rows, shards, job.units_done());
+            let mut line = Line::new((rows, slots), shards, job.units_done());
             with(scratch, |Scratch { sums, probe, .. }| {
                 for t in job.units_done()..shape.frames() {
                     let (patches, simd) = (&patches, *simd);
                     simd.run(Reduce { overlap, blocks, patches, y, t, sums });
                     world.fault(Place::Reduce);
                     probe.lap(Stage::Reduce);
-                    line.update((world, job), t, factors, sums, simd);
+                    line.update((world, job), (t, turns), factors, sums, simd);
                     probe.lap(Stage::Adam);
                 }
             });

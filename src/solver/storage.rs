@@ -15,6 +15,7 @@ use perceptile_cluster::shared::{Arena, Board, BoardPlan, Map, MapError, Section
 use serde::{Deserialize, Serialize};
 
 use crate::gradient::Objective;
+use crate::solver::state::Slots;
 use crate::solver::{BLOCKS_PER_THREAD, Summary, warp};
 use crate::tile::{Block, Partition, Reach, SLACK, TileShape};
 
@@ -61,7 +62,7 @@ pub struct StoragePlan {
 pub struct Storage {
     /// The samples in rows, or a tile in line order.
     pub(crate) samples: Section,
-    /// Moments in the order of the rows, without the copies around them.
+    /// Moments in slots, line after line.
     pub(crate) first: Section,
     pub(crate) second: Section,
     /// Patches, pulls, or a tile in line order.
@@ -107,8 +108,14 @@ impl StoragePlan {
         let Team { ranks, threads, can_fail } = self.team;
         let row = self.shape.width() * self.shape.spp() * self.shape.dims();
         let jobs = self.blocks.max(self.shape.height()).max(warp::jobs(self.shape, self.team));
-        // A unit is a row of samples and moments.
-        BoardPlan { ranks, threads, jobs, journal: if can_fail { 3 * row * 4 } else { 0 } }
+        // A unit is a row of samples.
+        BoardPlan { ranks, threads, jobs, journal: if can_fail { row * 4 } else { 0 } }
+    }
+
+    /// Words of the first or of the second moments; saturating.
+    fn moments(&self) -> usize {
+        let slots = Slots::new(self.shape, self.team.can_fail);
+        slots.line().saturating_mul(self.shape.height())
     }
 
     /// Bytes of it all; saturating.
@@ -116,8 +123,8 @@ impl StoragePlan {
         let counts = bytes(8, warp::count_words(self.shape, self.team));
         [
             bytes(4, self.samples),
-            bytes(4, self.shape.coordinates()),
-            bytes(4, self.shape.coordinates()),
+            bytes(4, self.moments()),
+            bytes(4, self.moments()),
             bytes(4, self.work),
             counts,
             counts,
@@ -133,7 +140,7 @@ impl StoragePlan {
     pub fn shares(&self, rank: usize) -> Vec<Range<usize>> {
         let ranks = self.team.ranks;
         let mut start = self.board().room();
-        let moments = 4 * self.shape.coordinates();
+        let moments = 4 * self.moments();
         [4 * self.samples, moments, moments, 4 * self.work]
             .into_iter()
             .map(|bytes| {
@@ -153,8 +160,8 @@ impl StoragePlan {
         let board = Board::new(&mut arena, self.board());
         let storage = Storage {
             samples: arena.take(4 * self.samples),
-            first: arena.take(4 * self.shape.coordinates()),
-            second: arena.take(4 * self.shape.coordinates()),
+            first: arena.take(4 * self.moments()),
+            second: arena.take(4 * self.moments()),
             work: arena.take(4 * self.work),
             counts: [(); 2].map(|()| arena.take(8 * warp::count_words(self.shape, self.team))),
             found: Arc::new(Found(arena.take(8 * Found::WORDS * self.blocks).words())),
@@ -202,13 +209,20 @@ impl Storage {
         tile
     }
 
-    /// Sets Adam's moments, in line order.
+    /// Sets Adam's moments, in line order, as they are before step number `step` of a phase.
     ///
     /// # Panics
     /// If they are not as many as the tile has coordinates.
-    pub fn put_moments(&mut self, [first, second]: &[Vec<f32>; 2]) {
-        self.first.slice_mut()[..first.len()].copy_from_slice(first);
-        self.second.slice_mut()[..second.len()].copy_from_slice(second);
+    pub fn put_moments(
+        &mut self,
+        shape: TileShape,
+        can_fail: bool,
+        step: u32,
+        [first, second]: &[Vec<f32>; 2],
+    ) {
+        let slots = Slots::new(shape, can_fail);
+        slots.put(self.first.slice_mut(), step, first);
+        slots.put(self.second.slice_mut(), step, second);
     }
 }
 

@@ -8,9 +8,7 @@
 //! A job's word says the round, the state and the holder, all that there is to know; a job is
 //! claimed by exchanging a word that says *free*, or an earlier round, for one's own. A job that
 //! changes memory does so unit by unit, and each unit is made in the journal of its thread before
-//! it is put in place: what a dead rank left half done is ended before the job is released. (To
-//! save what was there before instead made the steps of the paper's tile a sixth longer: memory
-//! was then waited for in the copy, and no longer beside the arithmetic.)
+//! it is put in place: what a dead rank left half done is ended before the job is released.
 
 use std::cell::Cell;
 use std::ops::Range;
@@ -64,11 +62,9 @@ const STOP_ASKED: usize = HOLD_ASKED + 3;
 const STOPPED: usize = HOLD_ASKED + 4;
 const SHARED: usize = 4 * LINE;
 
-/// Most slices of a unit.
-const SLICES: usize = 3;
-/// Words at the beginning of a journal: how many slices, and for each where it belongs in the map
-/// and how many bytes it has.
-const JOURNAL_HEAD: usize = 1 + 2 * SLICES;
+/// Words at the beginning of a journal, which say where in the map its unit belongs and how many
+/// bytes of it there are: as many as keep what follows aligned to a cache line.
+const JOURNAL_HEAD: usize = 8;
 
 /// Counters of a rank; [`Board::counter`] reads them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -105,7 +101,7 @@ impl BoardPlan {
     }
 
     fn journal_words(&self) -> usize {
-        if self.journal == 0 { 0 } else { JOURNAL_HEAD + self.journal.div_ceil(8) }
+        if self.journal == 0 { 0 } else { JOURNAL_HEAD + self.journal.div_ceil(64) * 8 }
     }
 }
 
@@ -337,11 +333,8 @@ impl Board {
         let words = self.plan.journal_words();
         let journal = &journals.slice::<u64>()[thread * words..][..words];
         let (head, data) = journal.split_at(JOURNAL_HEAD);
-        let mut data: &[u8] = bytemuck::cast_slice(data);
-        for place in head[1..].chunks_exact(2).take(head[0] as usize) {
-            let bytes = data.split_off(..place[1] as usize).expect("room in the journal");
-            Section::put(self.words.map(), place[0] as usize, bytes);
-        }
+        let bytes = &bytemuck::cast_slice(data)[..head[1] as usize];
+        Section::put(self.words.map(), head[0] as usize, bytes);
     }
 }
 
@@ -412,53 +405,40 @@ impl Job<'_> {
     }
 
     /// Changes one unit of the job, such that it is changed whole or not at all, whatever happens
-    /// to this rank.
+    /// to this rank: `make` reads what the unit was and writes what it is to be to the journal,
+    /// from where it is put in place. `midway` is called while that is half done.
     ///
-    /// If no rank can be lost, `change` does it in place. Otherwise `make` reads what the slices
-    /// were and writes what they are to be to the journal, from where they are put in place;
-    /// `midway` is called while that is half done.
+    /// What else `make` writes is written when the unit is changed, and may be written again if
+    /// it is not.
     ///
     /// # Panics
-    /// If the board has no room for the slices, or they are not in shared memory.
-    pub fn unit<const N: usize>(
+    /// If the board has no journal or no room in it, or the unit is not in shared memory.
+    pub fn unit(
         &self,
-        mut slices: [&mut [f32]; N],
-        change: impl FnOnce([&mut [f32]; N]),
-        make: impl FnOnce([&[f32]; N], [&mut [f32]; N]),
-        midway: impl Fn(),
+        unit: &mut [f32],
+        make: impl FnOnce(&[f32], &mut [f32]),
+        midway: impl FnOnce(),
     ) {
-        let units = self.done.get();
-        self.done.set(units + 1);
-        let Some(journals) = &self.board.journals else { return change(slices) };
-        let (head, mut data) = self.journal(journals);
-        self.address(head, &slices);
-        let mut made = slices
-            .each_ref()
-            .map(|slice| data.split_off_mut(..slice.len()).expect("room in the journal"));
-        make(slices.each_ref().map(|slice| &**slice), made.each_mut().map(|slice| &mut **slice));
+        let journals = self.board.journals.as_ref().expect("a board with a journal");
+        let map = self.board.words.map();
+        let offset = unit.as_ptr().addr().wrapping_sub(map.base().addr());
+        assert!(offset <= map.len(), "a unit of shared memory");
+        let (head, data) = self.journal(journals);
+        let made = &mut data[..unit.len()];
+        make(unit, made);
+        (head[0], head[1]) = (offset as u64, size_of_val(unit) as u64);
         // The journal is whole before it is said to be open, and that is said before anything
         // changes; what a process has written when it dies was written in this order.
         let progress = self.board.progress(self.job);
-        let word = |units: usize, open: u64| self.round << ROUND_SHIFT | (units as u64) << 1 | open;
-        progress.store(word(units, OPEN), Ordering::Release);
+        let units = self.done.get() as u64;
+        progress.store(self.round << ROUND_SHIFT | units << 1 | OPEN, Ordering::Release);
         fence(Ordering::Release);
-        for (slice, made) in slices.iter_mut().zip(made) {
-            slice.copy_from_slice(made);
-            midway();
-        }
-        progress.store(word(units + 1, 0), Ordering::Release);
-    }
-
-    /// Writes down where slices lie.
-    fn address<const N: usize>(&self, head: &mut [u64], slices: &[&mut [f32]; N]) {
-        const { assert!(N <= SLICES) };
-        let map = self.board.words.map();
-        head[0] = N as u64;
-        for (slice, place) in slices.iter().zip(head[1..].chunks_exact_mut(2)) {
-            let offset = slice.as_ptr().addr().wrapping_sub(map.base().addr());
-            assert!(offset <= map.len(), "slices of shared memory");
-            (place[0], place[1]) = (offset as u64, size_of_val(*slice) as u64);
-        }
+        let (one, other) = unit.split_at_mut(made.len() / 2);
+        one.copy_from_slice(&made[..one.len()]);
+        midway();
+        other.copy_from_slice(&made[one.len()..]);
+        progress.store(self.round << ROUND_SHIFT | (units + 1) << 1, Ordering::Release);
+        self.done.set(units as usize + 1);
     }
 
     /// The journal of this thread: its head and its data.
@@ -519,22 +499,14 @@ mod tests {
             let shards = (&mut parts,);
             let (mut part,) = shards.part(token);
             let (first, second) = part.piece(0).split_at_mut(4);
-            let to = |x: f32| {
-                move |_: [&[f32]; 2], to: [&mut [f32]; 2]| {
-                    to.into_iter().for_each(|slice| slice.fill(x));
-                }
-            };
-            let nothing = |_: [&mut [f32]; 2]| unreachable!("there is a journal");
-            let (a, b) = first.split_at_mut(1);
-            job.unit([a, b], nothing, to(2.0), || ());
-            let (a, b) = second.split_at_mut(1);
+            job.unit(first, |_, to| to.fill(2.0), || ());
             let died = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
-                job.unit([a, b], nothing, to(3.0), || panic!("dies"));
+                job.unit(second, |_, to| to.fill(3.0), || panic!("dies"));
             }));
             assert!(died.is_err());
         }
         let other = board.claim(7, 3, 1).unwrap();
-        assert_eq!(parts.whole()[32..40], [2.0, 2.0, 2.0, 2.0, 3.0, 1.0, 1.0, 1.0]);
+        assert_eq!(parts.whole()[32..40], [2.0, 2.0, 2.0, 2.0, 3.0, 3.0, 1.0, 1.0]);
         assert_eq!(board.release_rank(2), 0);
         assert_eq!(board.release_rank(1), 1);
         assert_eq!(parts.whole()[32..40], [2.0, 2.0, 2.0, 2.0, 3.0, 3.0, 3.0, 3.0]);
