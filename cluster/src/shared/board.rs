@@ -241,7 +241,7 @@ impl Board {
         // Exactly one exchange of a word that says free succeeds.
         word.compare_exchange(seen, mine, Ordering::AcqRel, Ordering::Relaxed).ok()?;
         let progress = self.progress(job).load(Ordering::Relaxed);
-        let done = if progress >> ROUND_SHIFT == round { progress >> 1 & UNITS } else { 0 };
+        let done = if progress >> PROGRESS_SHIFT == round { progress >> 1 & UNITS } else { 0 };
         let job = Job { board: self, round, job, thread, done: Cell::new(done as usize) };
         Some(Claim { token: Token { job: job.job }, job })
     }
@@ -315,7 +315,7 @@ impl Board {
                 continue;
             }
             let progress = self.progress(job).load(Ordering::Acquire);
-            if progress >> ROUND_SHIFT == round && progress & OPEN != 0 {
+            if progress >> PROGRESS_SHIFT == round && progress & OPEN != 0 {
                 self.put_in_place(thread);
                 // The next unit, and not open: one more in the bits above.
                 self.progress(job).store(progress + 1, Ordering::Release);
@@ -343,8 +343,9 @@ fn state(word: u64) -> u64 {
 }
 
 /// Bits of a progress word: the round, how many units are done, and whether the next is open.
+const PROGRESS_SHIFT: u32 = 24;
 const OPEN: u64 = 1;
-const UNITS: u64 = (1 << (ROUND_SHIFT - 1)) - 1;
+const UNITS: u64 = (1 << (PROGRESS_SHIFT - 1)) - 1;
 
 /// The right to do a job of a round, which nobody else has.
 #[derive(Debug)]
@@ -379,9 +380,6 @@ pub struct Job<'a> {
 }
 
 impl Job<'_> {
-    /// Most units of a job.
-    pub const MOST_UNITS: usize = UNITS as usize;
-
     /// Says that it is done.
     pub(crate) fn finish(self) {
         let Self { board, round, job, thread, .. } = self;
@@ -412,7 +410,8 @@ impl Job<'_> {
     /// it is not.
     ///
     /// # Panics
-    /// If the board has no journal or no room in it, or the unit is not in shared memory.
+    /// If the board has no journal or no room in it, the unit is not in shared memory, or the job
+    /// has more than 2²³ − 1 units.
     pub fn unit(
         &self,
         unit: &mut [f32],
@@ -431,13 +430,14 @@ impl Job<'_> {
         // changes; what a process has written when it dies was written in this order.
         let progress = self.board.progress(self.job);
         let units = self.done.get() as u64;
-        progress.store(self.round << ROUND_SHIFT | units << 1 | OPEN, Ordering::Release);
+        assert!(units < UNITS, "{units} units of a job");
+        progress.store(self.round << PROGRESS_SHIFT | units << 1 | OPEN, Ordering::Release);
         fence(Ordering::Release);
         let (one, other) = unit.split_at_mut(made.len() / 2);
         one.copy_from_slice(&made[..one.len()]);
         midway();
         other.copy_from_slice(&made[one.len()..]);
-        progress.store(self.round << ROUND_SHIFT | (units + 1) << 1, Ordering::Release);
+        progress.store(self.round << PROGRESS_SHIFT | (units + 1) << 1, Ordering::Release);
         self.done.set(units as usize + 1);
     }
 
