@@ -361,7 +361,7 @@ impl Worker {
             // Standard output belongs to the coordinator: scripts read it.
             .stdout(Stdio::null())
             .spawn()
-            .map_err(|source| ProcessError::Start { program: launch.program.clone(), source })?;
+            .map_err(|error| ProcessError::Start { program: launch.program.clone(), error })?;
         Ok(Self {
             child,
             channel,
