@@ -65,12 +65,12 @@ pub enum PlaceError {
         limit: usize,
     },
     /// The system refused.
-    #[error("cannot {what}: {source}")]
+    #[error("cannot {what}: {error}")]
     System {
         /// What was tried.
         what: String,
         /// What the system reports.
-        source: io::Error,
+        error: io::Error,
     },
 }
 
@@ -281,7 +281,7 @@ impl PlaceError {
     /// The error of the system with what was tried.
     fn while_trying(self, what: impl FnOnce() -> String) -> Self {
         match self {
-            Self::System { source, .. } => Self::System { what: what(), source },
+            Self::System { error, .. } => Self::System { what: what(), error },
             other => other,
         }
     }
@@ -297,7 +297,7 @@ mod system {
     pub fn allowed() -> Result<Vec<usize>, PlaceError> {
         let set = sched_getaffinity(None).map_err(|error| PlaceError::System {
             what: "ask which CPUs this process may use".to_owned(),
-            source: error.into(),
+            error: error.into(),
         })?;
         Ok((0..CpuSet::MAX_CPU).filter(|&cpu| set.is_set(cpu)).collect())
     }
@@ -313,7 +313,7 @@ mod system {
         }
         sched_setaffinity(None, &set).map_err(|error| PlaceError::System {
             what: "bind a thread to CPUs".to_owned(),
-            source: error.into(),
+            error: error.into(),
         })
     }
 }

@@ -88,12 +88,12 @@ pub enum CrewError {
     #[error(transparent)]
     Memory(#[from] MapError),
     /// No file for shared memory can be made.
-    #[error("no file for shared memory can be made in {}: {source}", folder.display())]
+    #[error("no file for shared memory can be made in {}: {error}", folder.display())]
     File {
         /// Where.
         folder: PathBuf,
         /// What the system says.
-        source: io::Error,
+        error: io::Error,
     },
     /// Workers cannot be started.
     #[error(transparent)]
@@ -103,7 +103,7 @@ pub enum CrewError {
     Place(#[from] PlaceError),
     /// Workers cannot be told what to do.
     #[error("the kernel is too large for worker processes: {0}")]
-    Errand(#[from] CodecError),
+    Errand(CodecError),
     /// Too many workers were lost.
     #[error("{lost} workers were lost, the last because it {cause}: the run is given up{kept}")]
     Lost {
@@ -227,11 +227,11 @@ fn start(
     };
     let launch = Launch {
         program: this_program()
-            .map_err(|source| CrewError::File { folder: "/proc/self".into(), source })?,
+            .map_err(|error| CrewError::File { folder: "/proc/self".into(), error })?,
         arguments: options.arguments.iter().map(Into::into).collect(),
         workers: team.ranks,
         version: VERSION.into(),
-        payload: codec::encode(&errand)?,
+        payload: codec::encode(&errand).map_err(CrewError::Errand)?,
         region: file,
         places,
         patience: PATIENCE,
@@ -250,7 +250,7 @@ fn region(bytes: u64, folder: &Path) -> Result<File, CrewError> {
     let fits = room(FASTEST).is_some_and(|free| free > bytes.saturating_add(1 << 20));
     let folder = if fits { Path::new(FASTEST) } else { folder };
     tempfile::tempfile_in(folder)
-        .map_err(|source| CrewError::File { folder: folder.to_owned(), source })
+        .map_err(|error| CrewError::File { folder: folder.to_owned(), error })
 }
 
 /// The workers of a run and what they are doing.

@@ -65,8 +65,10 @@ pub struct Keeper {
     invocation: String,
     existing: Existing,
     folder: Option<RunFolder>,
-    /// When the last checkpoint was written, at which step, and how many there are.
-    saved: Instant,
+    /// When a checkpoint was last written or tried, and at which step.
+    tried: Instant,
+    tried_at: u32,
+    /// The step of the last one that was written.
     saved_at: Option<u32>,
 }
 
@@ -127,7 +129,8 @@ impl Keeper {
             invocation,
             existing,
             folder: None,
-            saved: Instant::now(),
+            tried: Instant::now(),
+            tried_at: 0,
             saved_at: None,
         };
         // Also a link that leads nowhere is something that is there.
@@ -186,7 +189,8 @@ impl Keeper {
             invocation,
             existing: Existing::Keep,
             folder: Some(folder),
-            saved: Instant::now(),
+            tried: Instant::now(),
+            tried_at: done,
             saved_at: Some(done),
         };
         Ok((keeper, resumed))
@@ -205,8 +209,8 @@ impl Keeper {
     /// Whether a checkpoint is due after so many steps.
     pub fn is_due(&self, done: u32) -> bool {
         match self.every {
-            Every::Time(time) => self.saved.elapsed() >= time,
-            Every::Steps(steps) => done >= self.saved_at.unwrap_or(0).saturating_add(steps),
+            Every::Time(time) => self.tried.elapsed() >= time,
+            Every::Steps(steps) => done >= self.tried_at.saturating_add(steps),
         }
     }
 
@@ -223,7 +227,7 @@ impl Keeper {
         state: &dyn Snapshot,
     ) -> Result<(), FolderError> {
         let done = program.steps_done(at);
-        self.saved = Instant::now();
+        (self.tried, self.tried_at) = (Instant::now(), done);
         if self.saved_at == Some(done) {
             return Ok(());
         }

@@ -1,4 +1,5 @@
-//! Ctrl-C and SIGTERM: the first one asks the run to stop, the second one ends the process.
+//! Ctrl-C and SIGTERM: the first one asks the run to stop, the second one ends the process. A file
+//! that may not become so large is an error, and no signal that ends the process.
 
 use std::io;
 use std::sync::Arc;
@@ -14,7 +15,7 @@ pub struct Signals {
 }
 
 impl Signals {
-    /// Listens for both signals from now on.
+    /// Listens for both signals from now on, and lets writes fail that pass a limit of file sizes.
     ///
     /// # Errors
     /// What the system reports.
@@ -28,6 +29,9 @@ impl Signals {
             flag::register(signal, Arc::clone(&seen))?;
             flag::register_usize(signal, Arc::clone(&signals.number), signal as usize)?;
         }
+        // Unless somebody listens, the signal ends the process instead.
+        #[cfg(unix)]
+        flag::register(signal_hook::consts::SIGXFSZ, Arc::default())?;
         Ok(signals)
     }
 

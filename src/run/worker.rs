@@ -42,13 +42,13 @@ pub enum WorkerError {
     Process(#[from] ProcessError),
     /// The coordinator's words are none.
     #[error("what the coordinator asks for cannot be read: {0}")]
-    Errand(#[from] CodecError),
+    Errand(CodecError),
     /// The shared memory cannot be used.
     #[error(transparent)]
     Memory(#[from] MapError),
     /// The system gives no threads.
     #[error("threads cannot be had: {0}")]
-    Threads(#[from] ThreadPoolBuildError),
+    Threads(ThreadPoolBuildError),
     /// The program cannot be carried out.
     #[error(transparent)]
     Program(#[from] ProgramError),
@@ -68,10 +68,13 @@ pub fn serve(other: Other<'_>) -> Result<(), WorkerError> {
     let mut attached = process::attach(VERSION)?;
     let rank = attached.rank;
     let prepare = || {
-        let errand: Errand = codec::decode::<_, ERRAND_LIMIT>(&attached.payload)?;
+        let errand: Errand =
+            codec::decode::<_, ERRAND_LIMIT>(&attached.payload).map_err(WorkerError::Errand)?;
         let Errand { program, other, header, plain, faults } = errand;
         let program = program.checked().map_err(ProgramError::from)?;
-        let pool = ThreadPoolBuilder::new().num_threads(program.team.threads).build()?;
+        let threads = program.team.threads;
+        let pool =
+            ThreadPoolBuilder::new().num_threads(threads).build().map_err(WorkerError::Threads)?;
         let map = Map::open(&attached.region, header)?;
         let (world, storage) = program.storage().open(map, rank, faults.map(Faults::new));
         let simd = if plain { Simd::plain() } else { Simd::detect() };

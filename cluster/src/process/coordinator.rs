@@ -138,6 +138,8 @@ impl From<ExitStatus> for Cause {
 pub struct Workers {
     launch: Launch,
     slots: Vec<Slot>,
+    /// Workers that were ready and then lost before all others were ready.
+    early: Vec<Loss>,
     clock: Clock,
     /// Not to be sent to another thread.
     stays: PhantomData<*const ()>,
@@ -154,13 +156,15 @@ enum Slot {
 }
 
 impl Workers {
-    /// Starts all workers side by side, and waits until every one is ready.
+    /// Starts all workers side by side, and waits until every one is ready, or was: one that is
+    /// lost after that is a loss as any, for [`check`](Self::check) to give.
     ///
     /// Until a worker has called [`attach`](super::attach), Ctrl-C ends it as any process; the
     /// error is then the loss of that worker.
     ///
     /// # Errors
-    /// A program that does not start, or the first worker that is lost. The others are ended.
+    /// A program that does not start, or a worker that is lost before it is ready. The others are
+    /// ended.
     pub fn start(launch: Launch) -> Result<Self, ProcessError> {
         if let Some(places) = &launch.places
             && places.len() != launch.workers
@@ -168,13 +172,17 @@ impl Workers {
             return Err(ProcessError::Places { places: places.len(), workers: launch.workers });
         }
         let slots = (0..launch.workers).map(|_| Slot::Empty).collect();
-        let mut workers = Self { launch, slots, clock: Clock::new(), stays: PhantomData };
+        let (early, clock) = (Vec::new(), Clock::new());
+        let mut workers = Self { launch, slots, early, clock, stays: PhantomData };
         for rank in 0..workers.launch.workers {
             workers.replace(rank)?;
         }
         loop {
-            if let Some(loss) = workers.look(|_| None).1.into_iter().next() {
-                return Err(loss.into());
+            for (phase, loss) in workers.look(|_| None).1 {
+                if phase < Phase::Working {
+                    return Err(loss.into());
+                }
+                workers.early.push(loss);
             }
             if workers.running().all(|worker| worker.phase >= Phase::Working) {
                 return Ok(workers);
@@ -193,7 +201,8 @@ impl Workers {
     /// [`replace`](Self::replace). A worker that has to be killed may appear only some calls
     /// later, when the system is done with it. One that ends after its report is no loss.
     pub fn check(&mut self, beat: impl Fn(usize) -> u64) -> Vec<Loss> {
-        self.look(|rank| Some(beat(rank))).1
+        let (_, losses) = self.look(|rank| Some(beat(rank)));
+        self.early.drain(..).chain(losses.into_iter().map(|(_, loss)| loss)).collect()
     }
 
     /// Starts a worker in the place of a lost one, and does not wait for it: that it is ready, or
@@ -249,8 +258,9 @@ impl Workers {
         })
     }
 
-    /// Looks at every worker once. Gives the time that passed since the last look, and the losses.
-    fn look(&mut self, beat: impl Fn(usize) -> Option<u64>) -> (Duration, Vec<Loss>) {
+    /// Looks at every worker once. Gives the time that passed since the last look, and the losses
+    /// with how far each had come.
+    fn look(&mut self, beat: impl Fn(usize) -> Option<u64>) -> (Duration, Vec<(Phase, Loss)>) {
         let passed = self.clock.tick();
         let mut losses = Vec::new();
         for (rank, slot) in self.slots.iter_mut().enumerate() {
@@ -262,7 +272,7 @@ impl Workers {
                 State::Alive => (),
                 State::Done(report) => *slot = Slot::Done(report),
                 State::Lost(cause) => {
-                    losses.push(Loss { rank, pid, cause });
+                    losses.push((worker.phase, Loss { rank, pid, cause }));
                     *slot = Slot::Empty;
                 }
             }
@@ -351,7 +361,7 @@ impl Worker {
             // Standard output belongs to the coordinator: scripts read it.
             .stdout(Stdio::null())
             .spawn()
-            .map_err(|source| ProcessError::Start { program: launch.program.clone(), source })?;
+            .map_err(|error| ProcessError::Start { program: launch.program.clone(), error })?;
         Ok(Self {
             child,
             channel,

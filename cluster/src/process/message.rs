@@ -64,7 +64,7 @@ pub enum MessageError {
     TooLong(usize),
     /// Bytes that are no message.
     #[error("the other end sent bytes that are no message: {0}")]
-    Codec(#[from] CodecError),
+    Codec(CodecError),
     /// A message at the wrong time.
     #[error("the other end sent the message {0}, which has no place there")]
     Unexpected(&'static str),
@@ -79,7 +79,20 @@ pub enum MessageError {
     Gone,
     /// The system refused.
     #[error("cannot talk to the other end: {0}")]
-    System(#[from] io::Error),
+    System(io::Error),
+}
+
+// By hand, as both tell of the error themselves: a source would be told a second time.
+impl From<CodecError> for MessageError {
+    fn from(error: CodecError) -> Self {
+        Self::Codec(error)
+    }
+}
+
+impl From<io::Error> for MessageError {
+    fn from(error: io::Error) -> Self {
+        Self::System(error)
+    }
 }
 
 /// What follows the greeting.

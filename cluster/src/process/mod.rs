@@ -26,12 +26,12 @@ pub use worker::{Attached, attach};
 #[derive(Debug, Error)]
 pub enum ProcessError {
     /// The program does not start.
-    #[error("cannot start a worker from {}: {source}", program.display())]
+    #[error("cannot start a worker from {}: {error}", program.display())]
     Start {
         /// The program.
         program: PathBuf,
         /// What the system reports.
-        source: io::Error,
+        error: io::Error,
     },
     /// A worker ended before all were ready.
     #[error(transparent)]
@@ -65,16 +65,16 @@ pub enum ProcessError {
     #[error(transparent)]
     Place(#[from] PlaceError),
     /// The system refused.
-    #[error("cannot {what}: {source}")]
+    #[error("cannot {what}: {error}")]
     System {
         /// What was tried.
         what: &'static str,
         /// What the system reports.
-        source: io::Error,
+        error: io::Error,
     },
 }
 
 /// For `map_err`: what was tried when the system refused.
 fn system<E: Into<io::Error>>(what: &'static str) -> impl FnOnce(E) -> ProcessError {
-    move |error| ProcessError::System { what, source: error.into() }
+    move |error| ProcessError::System { what, error: error.into() }
 }

@@ -50,6 +50,9 @@ fn work(version: &str) {
     if worker.payload == b"wait" {
         sleep(LONG);
     }
+    if worker.payload == b"one by one" {
+        sleep(Duration::from_millis(300) * worker.rank as u32);
+    }
     let (rank, region) = (worker.rank as u64, worker.region.try_clone().unwrap());
     region.write_all_at(&[rank as u8 + 1], rank).unwrap();
     let beating = region.try_clone().unwrap();
@@ -59,7 +62,7 @@ fn work(version: &str) {
         let _ = beating.write_all_at(&count.to_le_bytes(), 8 * (rank + 1));
     };
     worker.ready(beat).unwrap();
-    if worker.payload == b"exit" {
+    if worker.payload == b"exit" || (worker.payload == b"one by one" && worker.rank == 0) {
         std::process::exit(7);
     }
     while byte(&region, OVER) == 0 {
@@ -282,11 +285,15 @@ fn who_cannot_begin_says_why() {
 #[test]
 fn a_worker_that_just_ends_is_lost() {
     let region = region();
-    let lost = match Workers::start(launch("worker", 1, "exit", &region)) {
-        Ok(mut workers) => losses(&mut workers, &region).remove(0).to_string(),
-        Err(error) => error.to_string(),
-    };
-    assert!(lost.ends_with(" ended too early, with exit code 7"), "{lost}");
+    // Also one that ends while others are not ready yet.
+    for (count, payload) in [(1, "exit"), (2, "one by one")] {
+        let mut workers = start(count, payload, &region);
+        let lost = losses(&mut workers, &region);
+        let text = lost.iter().map(Loss::to_string).collect::<String>();
+        assert!(text.starts_with("worker 0 ") && lost.len() == 1, "{text}");
+        assert!(text.ends_with(" ended too early, with exit code 7"), "{text}");
+        workers.replace(0).unwrap();
+    }
 }
 
 #[test]

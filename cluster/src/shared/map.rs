@@ -27,12 +27,12 @@ pub struct Map {
 #[derive(Debug, Error)]
 pub enum MapError {
     /// The system refuses it.
-    #[error("{bytes} bytes of shared memory cannot be had: {source}")]
+    #[error("{bytes} bytes of shared memory cannot be had: {error}")]
     System {
         /// How many were asked for.
         bytes: usize,
         /// What the system says.
-        source: io::Error,
+        error: io::Error,
     },
     /// The file is not what it should be.
     #[error("the shared memory is not that of this run: {0}")]
@@ -94,7 +94,7 @@ impl Map {
     /// If the system does not give it.
     pub fn private(len: usize) -> Result<Self, MapError> {
         let map = MmapMut::map_anon(len.max(1))
-            .map_err(|source| MapError::System { bytes: len, source })?;
+            .map_err(|error| MapError::System { bytes: len, error })?;
         // Only a hint: without huge pages everything works as well, if slower.
         #[cfg(target_os = "linux")]
         let _ = map.advise(memmap2::Advice::HugePage);
@@ -112,7 +112,7 @@ impl Map {
             .ok()
             .and_then(|len| len.checked_add(Header::BYTES))
             .unwrap_or(usize::MAX);
-        let system = |source| MapError::System { bytes, source };
+        let system = |error| MapError::System { bytes, error };
         reserve(file, bytes).map_err(system)?;
         write_head(file, &header.to_bytes()).map_err(system)?;
         Self::open(file, header)
@@ -123,7 +123,7 @@ impl Map {
     /// # Errors
     /// A file that is something else, shorter than it says, or of another run.
     pub fn open(file: &File, expected: Header) -> Result<Self, MapError> {
-        let system = |source| MapError::System { bytes: expected.len as usize, source };
+        let system = |error| MapError::System { bytes: expected.len as usize, error };
         let bytes = read_head(file).map_err(|_| MapError::Header("it has no header"))?;
         let header = Header::from_bytes(&bytes)?;
         if header != expected {
@@ -218,7 +218,7 @@ pub fn allocate(file: &File, header: Header, ranges: &[Range<usize>]) -> Result<
         let start = (Header::BYTES + range.start) as u64;
         match fallocate(file, FallocateFlags::empty(), start, range.len() as u64) {
             Ok(()) | Err(rustix::io::Errno::OPNOTSUPP) => (),
-            Err(error) => return Err(MapError::System { bytes, source: error.into() }),
+            Err(error) => return Err(MapError::System { bytes, error: error.into() }),
         }
     }
     #[cfg(not(target_os = "linux"))]
