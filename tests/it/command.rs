@@ -741,6 +741,37 @@ fn a_profile_leaves_a_trace_and_a_picture_and_replaces_nothing() {
 }
 
 #[test]
+fn a_profile_of_workers_tells_of_each() {
+    let folder = Folder::new();
+    let args = [PROFILE, &["--workers", "2", "--json", "--trace", "trace.json"]].concat();
+    let profile: Value = serde_json::from_str(&folder.succeed(&args)).unwrap();
+    let crew = &profile["crew"];
+    assert_eq!(crew["threads"], 2);
+    let number = |value: &Value| value.as_f64().unwrap();
+    assert!(number(&crew["synchronisation"]) > 0.0 && number(&crew["step"]) > 0.0, "{crew}");
+    assert!(number(&crew["workers"]["imbalance"]) >= 1.0, "{crew}");
+    let workers = crew["workers"]["workers"].as_array().unwrap();
+    assert_eq!(workers.len(), 2);
+    // Each job of each step is somebody's: blocks of cells, and lines.
+    let jobs: u64 = workers.iter().map(|worker| worker["jobs"].as_u64().unwrap()).sum();
+    let steps = crew["steps"].as_u64().unwrap();
+    assert!(jobs >= steps * (1 + 20), "{jobs} jobs of {steps} steps");
+    assert!(workers.iter().map(|worker| number(&worker["busy"])).sum::<f64>() > 0.0);
+
+    let trace: Value = serde_json::from_slice(&folder.read("trace.json")).unwrap();
+    let events = trace["traceEvents"].as_array().unwrap();
+    let named = events.iter().filter(|event| event["name"] == "thread_name");
+    let names: Vec<&str> = named.map(|event| event["args"]["name"].as_str().unwrap()).collect();
+    let expected = [(0, 0), (0, 1), (1, 0), (1, 1)];
+    assert_eq!(names, expected.map(|(worker, thread)| format!("worker {worker}, thread {thread}")));
+    let updates = events.iter().filter(|event| event["name"] == "update").count();
+    assert!(updates > 0);
+
+    let text = folder.succeed(&[PROFILE, &["--workers", "2"]].concat());
+    assert!(text.contains("2 workers of 2 threads") && text.contains("worker 1"), "{text}");
+}
+
+#[test]
 fn a_profile_of_what_cannot_be_run_says_so() {
     let folder = Folder::new();
     let with = |more: &[&'static str]| [PROFILE, more].concat();
