@@ -281,7 +281,7 @@ mod tests {
         let mut worlds = worlds(2, 1, 4).into_iter();
         let ((alive, _arena), (dead, _)) = (worlds.next().unwrap(), worlds.next().unwrap());
         // Rank 1 claims a job and is not heard of again.
-        std::mem::forget(dead.board().claim(1, 3, 1).unwrap());
+        let _claim = dead.board().claim(1, 3, 1).unwrap();
         let done = AtomicUsize::new(0);
         std::thread::scope(|scope| {
             let waits = scope.spawn(|| {

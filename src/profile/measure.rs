@@ -185,6 +185,9 @@ pub const TRACED: u32 = 12;
 /// The first steps of a trace, which show the stages of every draw.
 pub const DETAILED: u32 = 2;
 
+/// Spans of threads, and beginning and duration of whole steps.
+pub type Spans = (Vec<Span>, Vec<(Duration, Duration)>);
+
 /// What all threads did in a few steps: spans of threads, and those of whole steps, from the
 /// moment on at which the first one began.
 pub fn spans(
@@ -192,7 +195,7 @@ pub fn spans(
     simd: Simd,
     samples: &Samples,
     most: usize,
-) -> Result<(Vec<Span>, Vec<(Duration, Duration)>), MapError> {
+) -> Result<Spans, MapError> {
     let step = Arc::new(AtomicU32::new(0));
     let threads = rayon::current_num_threads();
     let begun = Instant::now();

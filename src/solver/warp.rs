@@ -93,7 +93,7 @@ pub fn warp(
     let mut tiles = [work, samples].map(tile);
     // Those of one frame are read while those of the next are made.
     let mut counts = counts.map(|section| {
-        let part = |job: usize| vec![job * COUNTS..(job + 1) * COUNTS];
+        let part = |job: usize| std::iter::once(job * COUNTS..(job + 1) * COUNTS).collect();
         section.parts::<i64>((0..jobs).map(part).collect())
     });
 

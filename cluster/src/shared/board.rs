@@ -242,7 +242,14 @@ impl Board {
         word.compare_exchange(seen, mine, Ordering::AcqRel, Ordering::Relaxed).ok()?;
         let progress = self.progress(job).load(Ordering::Relaxed);
         let done = if progress >> PROGRESS_SHIFT == round { progress >> 1 & UNITS } else { 0 };
-        let job = Job { board: self, round, job, thread, done: Cell::new(done as usize) };
+        let job = Job {
+            board: self,
+            round,
+            job,
+            thread,
+            done: Cell::new(done as usize),
+            busy: Cell::new(false),
+        };
         Some(Claim { token: Token { job: job.job }, job })
     }
 
@@ -375,8 +382,10 @@ pub struct Job<'a> {
     round: u64,
     job: usize,
     thread: usize,
-    /// Also keeps other threads out: the journal is this one's.
+    /// Units that are done. Cells keep other threads out: the journal is this one's.
     done: Cell<usize>,
+    /// Whether a unit is under way.
+    busy: Cell<bool>,
 }
 
 impl Job<'_> {
@@ -410,8 +419,8 @@ impl Job<'_> {
     /// it is not.
     ///
     /// # Panics
-    /// If the board has no journal or no room in it, the unit is not in shared memory, or the job
-    /// has more than 2²³ − 1 units.
+    /// If the board has no journal or no room in it, the unit is not in shared memory or within
+    /// another, or the job has more than 2²³ − 1 units.
     pub fn unit(
         &self,
         unit: &mut [f32],
@@ -422,7 +431,16 @@ impl Job<'_> {
         let map = self.board.words.map();
         let offset = unit.as_ptr().addr().wrapping_sub(map.base().addr());
         assert!(offset <= map.len(), "a unit of shared memory");
-        let (head, data) = self.journal(journals);
+        let words = self.board.plan.journal_words();
+        let start: *mut u64 = journals.pointer();
+        assert!(!self.busy.replace(true), "a unit within a unit");
+        // SAFETY: the journal of a thread lies in the section, and it is this thread's alone:
+        // `Job` is not `Sync`, nobody else has its number, and there is no unit within a unit.
+        // Others read it when the thread is dead.
+        let journal =
+            unsafe { std::slice::from_raw_parts_mut(start.add(self.thread * words), words) };
+        let (head, data) = journal.split_at_mut(JOURNAL_HEAD);
+        let data: &mut [f32] = bytemuck::cast_slice_mut(data);
         let made = &mut data[..unit.len()];
         make(unit, made);
         (head[0], head[1]) = (offset as u64, size_of_val(unit) as u64);
@@ -439,19 +457,7 @@ impl Job<'_> {
         other.copy_from_slice(&made[one.len()..]);
         progress.store(self.round << PROGRESS_SHIFT | (units + 1) << 1, Ordering::Release);
         self.done.set(units as usize + 1);
-    }
-
-    /// The journal of this thread: its head and its data.
-    fn journal<'j>(&'j self, journals: &'j Section) -> (&'j mut [u64], &'j mut [f32]) {
-        let words = self.board.plan.journal_words();
-        let start: *mut u64 = journals.pointer();
-        // SAFETY: the journal of a thread lies in the section, and it is this thread's alone:
-        // `Job` is not `Sync`, nobody else has its number, and `unit`, the only caller, is done
-        // with it before it returns. Others read it when the thread is dead.
-        let journal =
-            unsafe { std::slice::from_raw_parts_mut(start.add(self.thread * words), words) };
-        let (head, data) = journal.split_at_mut(JOURNAL_HEAD);
-        (head, bytemuck::cast_slice_mut(data))
+        self.busy.set(false);
     }
 }
 
@@ -490,8 +496,9 @@ mod tests {
     #[test]
     fn what_a_dead_rank_had_is_released_and_what_it_had_open_is_ended() {
         let (board, mut arena) = board();
-        let mut parts =
-            arena.take(400).parts::<f32>((0..5).map(|i| vec![i * 8..i * 8 + 8]).collect());
+        let mut parts = arena
+            .take(400)
+            .parts::<f32>((0..5).map(|i| std::iter::once(i * 8..i * 8 + 8).collect()).collect());
         parts.whole_mut().fill(1.0);
         // Thread 3 is rank 1's second. It dies in the second unit of its job.
         {
