@@ -7,4 +7,10 @@ mod format;
 mod gradient;
 mod metric;
 mod profile;
+#[cfg(target_os = "linux")]
+mod resume;
 mod solver;
+#[cfg(target_os = "linux")]
+mod tool;
+#[cfg(target_os = "linux")]
+mod workers;

@@ -1,0 +1,262 @@
+//! Runs that were killed, stopped or damaged go on to the same bytes, and what is no run of ours
+//! is refused.
+
+use std::fs;
+use std::os::unix::fs::symlink;
+use std::process::Command;
+use std::thread::sleep;
+use std::time::Duration;
+
+use rustix::process::{Signal, geteuid};
+
+use crate::tool::{Random, Room, has_ended, until};
+
+/// A run with time to be killed in its descent and in its polish; of little work, so that what is
+/// left of it is done soon.
+const RUN: &str = "optimize --integrands 0 --seed 5 --tile 27x24x8 --start random --steps 300 \
+                   --draws 500 --polish 600 --warp 20 --kernel gaussian(1)*ema(0.5)@3x3x4";
+
+/// The tile of the run, made without interruption.
+fn expected(room: &Room) -> Vec<u8> {
+    room.run(&format!("{RUN} --threads 1 --out whole.npy --force")).succeeded();
+    room.read("whole.npy")
+}
+
+/// Leaves a run behind that was killed after so many steps.
+fn killed(room: &Room, after: u32) {
+    let mut run = room.start(&format!("{RUN} --threads 1 --checkpoint 2steps --force"));
+    run.until_checkpoint(room, "tile.run", after);
+    run.send(Signal::KILL);
+    let ended = run.end();
+    assert!(!room.at("tile.npy").exists() && !room.checkpoints("tile.run").is_empty(), "{ended:?}");
+}
+
+#[test]
+fn a_run_whose_coordinator_is_killed_twenty_times_makes_the_same_tile() {
+    let room = Room::new();
+    let expected = expected(&room);
+    let mut random = Random(1);
+    let crews =
+        ["--threads 2", "--workers 3 --threads 1", "--threads 1", "--workers 2 --threads 2"];
+    let mut kills = 0;
+    while kills < 20 {
+        let _ = fs::remove_file(room.at("tile.npy"));
+        let mut line = format!("{RUN} --force");
+        let mut at = 0;
+        loop {
+            let crew = crews[kills % crews.len()];
+            let mut run = room.start(&format!("{line} {crew} --checkpoint 3steps"));
+            let ahead = at + 10 + random.below(60) as u32;
+            run.until_checkpoint(&room, "tile.run", ahead);
+            random.sleep(20);
+            let workers = run.workers();
+            if run.is_over() {
+                run.end().succeeded();
+                break;
+            }
+            run.send(Signal::KILL);
+            run.end();
+            until("workers end with their coordinator", || workers.iter().all(|&it| has_ended(it)));
+            kills += 1;
+            if let Some(&number) = room.checkpoints("tile.run").first() {
+                at = number;
+                line = "resume tile.run --force".into();
+            }
+        }
+        assert_eq!(room.read("tile.npy"), expected, "after {kills} kills");
+        assert!(!room.at("tile.run").exists());
+    }
+}
+
+#[test]
+fn a_damaged_checkpoint_is_named_and_the_one_before_it_used() {
+    let room = Room::new();
+    let expected = expected(&room);
+    for (after, crew) in [(20, "--threads 2"), (350, "--workers 2 --threads 1")] {
+        killed(&room, after);
+        // Three, if it was killed before it removed the oldest.
+        assert!((2..=3).contains(&room.checkpoints("tile.run").len()));
+        let newest = format!("tile.run/checkpoint-{}", room.checkpoints("tile.run")[0]);
+        let mut bytes = room.read(&newest);
+        let middle = bytes.len() / 2;
+        bytes[middle] ^= 1;
+        fs::write(room.at(&newest), bytes).unwrap();
+        let ended = room.run(&format!("resume tile.run {crew}")).succeeded();
+        assert!(ended.error.contains(&newest) && ended.error.contains("damaged"), "{ended:?}");
+        assert_eq!(room.read("tile.npy"), expected);
+        fs::remove_file(room.at("tile.npy")).unwrap();
+        for name in ["tile.json", "tile.png"] {
+            fs::remove_file(room.at(name)).unwrap();
+        }
+    }
+
+    killed(&room, 20);
+    let names = room.checkpoints("tile.run").into_iter().map(|it| format!("checkpoint-{it}"));
+    let names: Vec<String> = names.collect();
+    assert!(names.len() >= 2);
+    for name in &names {
+        let path = format!("tile.run/{name}");
+        let bytes = room.read(&path);
+        fs::write(room.at(&path), &bytes[..bytes.len() - 5]).unwrap();
+    }
+    room.run("resume tile.run").failed(1, &[&names[0], &names[1]]);
+    assert!(!room.at("tile.npy").exists());
+}
+
+#[test]
+fn whatever_is_in_a_checkpoint_does_no_harm() {
+    let room = Room::new();
+    let expected = expected(&room);
+    killed(&room, 200);
+    // Of one checkpoint only, so that none takes its place.
+    let numbers = room.checkpoints("tile.run");
+    let good = room.read(&format!("tile.run/checkpoint-{}", numbers[0]));
+    let mut random = Random(9);
+    for turn in 0..40 {
+        let mut bytes = good.clone();
+        match turn % 4 {
+            // The head is where damage could do most.
+            0 => bytes[random.below(3000)] ^= 1 << random.below(8),
+            1 => bytes[random.below(good.len())] ^= 1 << random.below(8),
+            2 => bytes.truncate(random.below(good.len())),
+            _ => {
+                let (from, to) = (random.below(good.len() - 99), random.below(good.len() - 99));
+                bytes.copy_within(from..from + 99, to);
+            }
+        }
+        fs::create_dir_all(room.at("other.run")).unwrap();
+        fs::write(room.at("other.run/lock"), []).unwrap();
+        fs::write(room.at("other.run/checkpoint-7"), &bytes).unwrap();
+        let mut permissions = fs::metadata(room.at("other.run")).unwrap().permissions();
+        std::os::unix::fs::PermissionsExt::set_mode(&mut permissions, 0o700);
+        fs::set_permissions(room.at("other.run"), permissions).unwrap();
+        let ended = room.run("resume other.run --threads 2 --out other.npy --force");
+        if ended.code() == Some(0) {
+            assert_eq!(room.read("other.npy"), expected, "turn {turn}");
+        } else {
+            ended.failed(1, &["checkpoint-7"]);
+        }
+    }
+}
+
+#[test]
+fn a_folder_that_is_in_use_or_holds_an_unfinished_run_is_left_alone() {
+    let room = Room::new();
+    let endless = RUN.replace("--steps 300", "--steps 4000000000");
+    let mut run = room.start(&format!("{endless} --checkpoint 5steps --run-dir kept"));
+    run.until_checkpoint(&room, "kept", 0);
+    for line in [
+        format!("{RUN} --out other.npy --run-dir kept"),
+        format!("{RUN} --out other.npy --run-dir kept --force"),
+        "resume kept --out other.npy".into(),
+    ] {
+        room.run(&line).failed(1, &["kept", "in use"]);
+    }
+    run.send(Signal::KILL);
+    run.end();
+    let before = room.checkpoints("kept");
+    room.run(&format!("{RUN} --out other.npy --run-dir kept")).failed(3, &["kept", "--force"]);
+    assert_eq!(room.checkpoints("kept"), before);
+    room.run(&format!("{RUN} --out other.npy --run-dir kept --force")).succeeded();
+    assert!(!room.at("kept").exists());
+}
+
+#[test]
+fn what_is_no_run_folder_of_ours_is_refused() {
+    let room = Room::new();
+    killed(&room, 20);
+    let newest = format!("tile.run/checkpoint-{}", room.checkpoints("tile.run")[0]);
+
+    symlink(room.at("tile.run"), room.at("link")).unwrap();
+    room.run("resume link").failed(1, &["link"]);
+    room.run(&format!("{RUN} --out other.npy --run-dir link")).failed(1, &["link"]);
+
+    fs::write(room.at("file"), b"precious").unwrap();
+    room.run(&format!("{RUN} --out other.npy --run-dir file --force")).failed(1, &["file"]);
+    assert_eq!(room.read("file"), b"precious");
+    fs::create_dir(room.at("full")).unwrap();
+    fs::write(room.at("full/thesis.txt"), b"precious").unwrap();
+    room.run(&format!("{RUN} --out other.npy --run-dir full --force")).failed(1, &["thesis.txt"]);
+    assert_eq!(room.names("full"), ["thesis.txt"]);
+
+    // A checkpoint that is a link to another file.
+    fs::rename(room.at(&newest), room.at("elsewhere")).unwrap();
+    symlink(room.at("elsewhere"), room.at(&newest)).unwrap();
+    room.run("resume tile.run").failed(1, &["checkpoint-"]);
+    fs::remove_file(room.at(&newest)).unwrap();
+    fs::rename(room.at("elsewhere"), room.at(&newest)).unwrap();
+
+    for missing in ["nowhere", "nowhere/at/all"] {
+        room.run(&format!("resume {missing}")).failed(1, &["nowhere"]);
+    }
+    fs::create_dir(room.at("empty")).unwrap();
+    room.run("resume empty").failed(1, &["empty"]);
+
+    if geteuid().is_root() {
+        std::os::unix::fs::chown(room.at("tile.run"), Some(12345), None).unwrap();
+        room.run("resume tile.run").failed(1, &["tile.run", "12345"]);
+    }
+    assert!(!room.at("tile.npy").exists() && !room.at("other.npy").exists());
+}
+
+#[test]
+fn a_run_goes_on_when_its_folder_vanishes() {
+    for crew in ["--threads 1", "--workers 2 --threads 1"] {
+        let room = Room::new();
+        let expected = expected(&room);
+        let mut run = room.start(&format!("{RUN} {crew} --checkpoint 5steps"));
+        run.until_checkpoint(&room, "tile.run", 0);
+        // Again, if a checkpoint is written meanwhile.
+        until("gone", || fs::remove_dir_all(room.at("tile.run")).is_ok());
+        let ended = run.end().succeeded();
+        assert!(ended.error.contains("no checkpoint was written"), "{ended:?}");
+        assert_eq!(room.read("tile.npy"), expected);
+    }
+}
+
+#[test]
+fn a_full_disk_keeps_the_last_good_checkpoint() {
+    let room = Room::new();
+    let expected = expected(&room);
+    fs::create_dir(room.at("small")).unwrap();
+    // Room for two checkpoints and a half.
+    let size = 27 * 24 * 8 * 2 * 3 * 4;
+    let mount = Command::new("mount")
+        .args(["-t", "tmpfs", "-o", &format!("size={}", size * 5 / 2), "tmpfs"])
+        .arg(room.at("small"))
+        .output();
+    if !mount.is_ok_and(|mount| mount.status.success()) {
+        eprintln!("skipped: no file system can be mounted here");
+        return;
+    }
+    let ended = room.run(&format!("{RUN} --threads 1 --checkpoint 5steps --run-dir small/run"));
+    let told = ended.error.contains("no checkpoint was written") && ended.error.contains("space");
+    let code = ended.code();
+    let tile = room.read("tile.npy");
+    let unmounted = Command::new("umount").arg(room.at("small")).status();
+    assert!(unmounted.is_ok_and(|status| status.success()));
+    assert!(told, "{ended:?}");
+    assert_eq!((code, tile == expected), (Some(0), true));
+}
+
+#[test]
+fn a_stopped_run_goes_on_and_replaces_its_tile_only_with_force() {
+    let room = Room::new();
+    let expected = expected(&room);
+    let endless = format!("{RUN} --workers 2 --threads 1 --checkpoint 1h");
+    let mut run = room.start(&endless);
+    run.until("at work", |run| !run.ready_workers().is_empty());
+    sleep(Duration::from_millis(50));
+    run.send(Signal::TERM);
+    let ended = run.end();
+    if ended.code() == Some(0) {
+        // A machine that was too fast for this test.
+        return;
+    }
+    assert_eq!(ended.code(), Some(143), "{ended:?}");
+    let so_far = room.read("tile.npy");
+    assert_ne!(so_far, expected);
+    room.run("resume tile.run").failed(3, &["tile.npy", "--force"]);
+    assert_eq!(room.read("tile.npy"), so_far);
+    assert_eq!(room.make("resume tile.run --force --threads 2"), expected);
+}
