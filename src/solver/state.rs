@@ -293,6 +293,7 @@ impl<'a> Line<'a> {
                 },
                 || world.fault(Place::Adam),
             );
+            world.fault(Place::Adam);
         }
         self.close(t);
     }
