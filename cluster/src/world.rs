@@ -69,11 +69,6 @@ impl World {
         &self.board
     }
 
-    /// The rank that did a job when it was last done.
-    pub fn last_rank(&self, job: usize) -> usize {
-        self.board.last_thread(job) / self.threads()
-    }
-
     /// Tells that a job of this rank read bytes that another rank wrote.
     pub fn read_from_others(&self, bytes: u64) {
         if bytes > 0 {

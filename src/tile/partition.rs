@@ -74,11 +74,6 @@ impl Partition {
         Self { shape, reach, columns, rows, parts }
     }
 
-    /// The same cells and owners for another reach.
-    pub fn with_reach(&self, reach: Reach) -> Self {
-        Self { reach, ..self.clone() }
-    }
-
     /// Width and height of a cell, in pixels, that the cut aims at: what the draws of a cell see
     /// of 30 frames then fits a second-level cache of 256 KB, with its integer gradient.
     pub const CELL: usize = 16;

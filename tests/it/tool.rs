@@ -193,6 +193,7 @@ impl Drop for Run {
 
 /// A command that has ended.
 #[derive(Debug)]
+#[allow(dead_code, reason = "the line is shown where a test fails")]
 pub struct Ended {
     pub line: String,
     pub status: ExitStatus,

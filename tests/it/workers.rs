@@ -292,7 +292,7 @@ fn workers_share_their_memory() {
     let shared: u64 = shared.trim().strip_suffix(" MB").unwrap().parse().unwrap();
     // What they share is told in whole MB; the coordinator keeps the samples that it starts from.
     let samples = 256 * 256 * 8 * 2 * 2 * 4;
-    let base = (shared + 1 << 20) + samples;
+    let base = ((shared + 1) << 20) + samples;
     let mut run = room.start(&line);
     let (mut most, mut looks) = (0, 0);
     while !run.is_over() {

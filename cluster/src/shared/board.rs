@@ -253,11 +253,6 @@ impl Board {
         Some(Claim { token: Token { job: job.job }, job })
     }
 
-    /// The thread that did or claimed a job when it was last taken, counted over all ranks.
-    pub fn last_thread(&self, job: usize) -> usize {
-        (self.job(job).load(Ordering::Relaxed) & THREAD) as usize
-    }
-
     /// Whether all of a round's first `jobs` jobs are done.
     pub(crate) fn all_done(&self, round: u64, jobs: usize) -> bool {
         // After one's own last word, so that of two who finish at once one sees both.
@@ -480,7 +475,6 @@ mod tests {
         assert!(board.claim(1, 2, 1).is_none());
         claim.job.finish();
         assert!(board.claim(1, 2, 1).is_none());
-        assert_eq!(board.last_thread(2), 0);
         assert!(!board.all_done(1, 5));
         for job in [0, 1, 3, 4] {
             board.claim(1, job, 3).unwrap().job.finish();
