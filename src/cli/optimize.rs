@@ -78,6 +78,7 @@ pub fn run(args: OptimizeArgs) -> anyhow::Result<ExitCode> {
         score_options.validate()?;
     }
     memory::check(&program)?;
+    program.check_batch()?;
     if args.dry_run {
         print(&plan(&program))?;
         return Ok(ExitCode::SUCCESS);

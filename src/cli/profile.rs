@@ -87,6 +87,7 @@ pub fn run(args: ProfileArgs) -> anyhow::Result<()> {
     let threads = args.execution.threads()?;
     let program = Program::new(&options, args.execution.team()?)?;
     memory::check(&program)?;
+    program.check_batch()?;
     let subject = Subject::new(&options, &program.kernel, threads)?;
     let existing = Existing::from_force(args.force);
     write::probe(args.trace.iter().chain(&args.svg), existing)?;

@@ -58,6 +58,7 @@ pub fn run(args: ResumeArgs) -> anyhow::Result<ExitCode> {
         invocation.out = out;
     }
     memory::check(&program)?;
+    program.check_batch()?;
     let existing = Existing::from_force(args.force);
     Outputs::of(&invocation.out).probe(existing)?;
     args.carry.carry_out(Ready { invocation, program, begin, existing, keeper }, &args.execution)

@@ -27,6 +27,7 @@ pub fn optimize(
     observer: &mut dyn Observer,
 ) -> Result<(Tile, Summary), ProgramError> {
     let program = Program::new(options, Team::alone())?;
+    program.check_batch()?;
     let begin = Begin::new(&program, start)?;
     carry_out(&program, begin, simd, observer, None)
 }

@@ -106,8 +106,16 @@ impl Program {
         options.validate()?;
         options.check_kernel(kernel)?;
         kernel.check(options.shape)?;
-        self.quantum(&self.draws())?;
         Ok(self)
+    }
+
+    /// Checks that a step is not too coarse. This looks at every cell, so it is for tiles that
+    /// memory can hold.
+    ///
+    /// # Errors
+    /// Too many draws for one step.
+    pub fn check_batch(&self) -> Result<(), OptionsError> {
+        self.quantum(&self.draws()).map(|_| ())
     }
 
     /// The cells that draws are made for.

@@ -256,11 +256,11 @@ fn too_many_losses_end_a_run_and_it_can_go_on() {
 #[test]
 fn what_is_left_without_workers_when_all_steps_are_done_is_done_at_once() {
     let room = Room::new();
-    let line = LASTING.replace("--warp 20", "--warp 8000").replace("--steps 400", "--steps 9");
-    let line = format!("{PLAIN} {}", line.replace("--polish 200", "--polish 0"));
+    let line = LASTING.replace("--warp 20", "--warp 30000").replace("--polish 200", "--polish 0");
+    let line = format!("{PLAIN} {line}");
     let expected = room.make(&format!("{line} --threads 1"));
-    let mut run = room.start(&format!("{line} --workers 2 --replacements 0 --checkpoint 1steps"));
-    run.until_checkpoint(&room, "tile.run", 7);
+    let mut run = room.start(&format!("{line} --workers 2 --replacements 0 --checkpoint 20steps"));
+    run.until_checkpoint(&room, "tile.run", 200);
     // The steps that may be left take less than the pause, or else this would be a run given up.
     std::thread::sleep(Duration::from_millis(300));
     let workers = run.workers();
