@@ -260,7 +260,7 @@ fn what_is_left_without_workers_when_all_steps_are_done_is_done_at_once() {
     let line = format!("{PLAIN} {line}");
     let expected = room.make(&format!("{line} --threads 1"));
     let mut run = room.start(&format!("{line} --workers 2 --replacements 0 --checkpoint 20steps"));
-    run.until_checkpoint(&room, "tile.run", 200);
+    run.until_checkpoint(&room, "tile.run", 300);
     // The steps that may be left take less than the pause, or else this would be a run given up.
     std::thread::sleep(Duration::from_millis(300));
     let workers = run.workers();
