@@ -7,11 +7,16 @@
 //! write through [`write`](mod@write), which never loses an existing file. [`checkpoint`] is both
 //! ways: the state of a run that is to go on later.
 //!
+//! A tile may be larger than memory, so it can be written from pieces ([`numbers`]) by somebody who
+//! does not hold it.
+//!
 //! Every reader takes hostile input: it answers with a tile or an error that names the value and
 //! the rule, and allocates no more than the size of the file can justify.
 
 pub mod checkpoint;
+pub(crate) mod hashed;
 pub mod npy;
+pub mod numbers;
 pub mod picture;
 pub mod png;
 pub mod series;

@@ -10,6 +10,7 @@ use std::io::{self, Read, Write};
 
 use thiserror::Error;
 
+use super::numbers::{self, Put};
 use crate::tile::{ShapeError, Tile, TileShape, clamp_coordinate};
 
 const MAGIC: &[u8; 6] = b"\x93NUMPY";
@@ -130,7 +131,20 @@ pub enum NpyError {
 /// # Errors
 /// What `out` reports.
 pub fn write_tile(tile: &Tile, out: &mut (impl Write + ?Sized)) -> io::Result<()> {
-    let shape = tile.shape();
+    write_rows(tile.shape(), out, &mut |put| put(tile.samples()))
+}
+
+/// Writes a tile, with the same bytes as [`write_tile`], whose coordinates come in pieces: `rows`
+/// hands them over, in C order, to what it is called with.
+///
+/// # Errors
+/// What `out` or `rows` reports, and [`io::ErrorKind::InvalidData`] if there are more coordinates
+/// than the shape has, or fewer, or a number that is none.
+pub fn write_rows(
+    shape: TileShape,
+    out: &mut (impl Write + ?Sized),
+    rows: &mut dyn FnMut(&mut Put<'_>) -> io::Result<()>,
+) -> io::Result<()> {
     let mut header = format!(
         "{{'descr': '<f4', 'fortran_order': False, 'shape': ({}, {}, {}, {}, {}), }}",
         shape.frames(),
@@ -148,13 +162,20 @@ pub fn write_tile(tile: &Tile, out: &mut (impl Write + ?Sized)) -> io::Result<()
     out.write_all(&[1, 0])?;
     out.write_all(&length.to_le_bytes())?;
     out.write_all(header.as_bytes())?;
-    let mut bytes = Vec::with_capacity(BLOCK * size_of::<f32>());
-    for block in tile.samples().chunks(BLOCK) {
-        bytes.clear();
-        bytes.extend(block.iter().flat_map(|x| x.to_le_bytes()));
-        out.write_all(&bytes)?;
+    let mut stray = None;
+    numbers::write(out, shape.coordinates() as u64, &mut |put| {
+        rows(&mut |piece| {
+            stray = stray.or_else(|| piece.iter().copied().find(|x| !(0.0..1.0).contains(x)));
+            put(piece)
+        })
+    })?;
+    match stray {
+        Some(x) => {
+            let message = format!("a coordinate is {x}, but every one must be in [0, 1)");
+            Err(io::Error::new(io::ErrorKind::InvalidData, message))
+        }
+        None => Ok(()),
     }
-    Ok(())
 }
 
 /// Reads a tile: one of ours exactly, or a foreign one.
@@ -747,6 +768,40 @@ mod tests {
         assert!(matches!(read(&empty), Err(NpyError::Shape(ShapeError::Zero { .. }))));
         let many = array("|u1", "(1, 1, 1, 17)", &[0; 17]);
         assert!(matches!(read(&many), Err(NpyError::Shape(ShapeError::Limit { .. }))));
+    }
+
+    #[test]
+    fn coordinates_in_pieces_make_the_file_of_the_whole() {
+        let shape = TileShape::new(5, 4, 3, 2, 3).unwrap();
+        let count = shape.coordinates();
+        let samples: Vec<f32> = (0..count).map(|i| i as f32 / count as f32).collect();
+        let give = |samples: &[f32], size: usize| {
+            let mut bytes = Vec::new();
+            let result = write_rows(shape, &mut bytes, &mut |put| {
+                samples.chunks(size).try_for_each(&mut *put)
+            });
+            result.map(|()| bytes).map_err(|error| (error.kind(), error.to_string()))
+        };
+        let data: Vec<u8> = samples.iter().flat_map(|x| x.to_le_bytes()).collect();
+        let mut whole = Vec::new();
+        write_tile(&Tile::new(shape, samples.clone()).unwrap(), &mut whole).unwrap();
+        assert_eq!(whole[whole.len() - data.len()..], data);
+        for size in [1, 7, 30, count - 1, count] {
+            assert_eq!(give(&samples, size).unwrap(), whole);
+            let (few, more) = (&samples[1..], [&samples[..], &[0.5]].concat());
+            for (wrong, part) in [(few, "359 numbers instead of 360"), (&more, "more than 360")] {
+                let (kind, message) = give(wrong, size).unwrap_err();
+                assert_eq!(kind, io::ErrorKind::InvalidData);
+                assert!(message.contains(part), "{message}");
+            }
+        }
+        for bad in [1.0, -0.5, f32::NAN] {
+            let mut wrong = samples.clone();
+            wrong[100] = bad;
+            let (kind, message) = give(&wrong, 7).unwrap_err();
+            assert_eq!(kind, io::ErrorKind::InvalidData);
+            assert!(message.contains(&bad.to_string()), "{message}");
+        }
     }
 
     proptest! {

@@ -5,15 +5,15 @@
 //! file, so that `sha256sum tile.npy` checks it without this program.
 
 use std::fs::{self, File};
-use std::io::{self, Read, Write};
+use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
-use sha2::{Digest, Sha256};
 use thiserror::Error;
 
+use super::hashed::Hashed;
 use super::npy;
 use super::write::{self, Existing, WriteError};
 use crate::tile::{Tile, TileShape};
@@ -160,22 +160,9 @@ impl Sidecar {
 ///
 /// It depends on the tile alone, so that equal digests mean equal tiles on every machine.
 pub fn digest(tile: &Tile) -> String {
-    struct Hasher(Sha256);
-
-    impl Write for Hasher {
-        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-            self.0.update(bytes);
-            Ok(bytes.len())
-        }
-
-        fn flush(&mut self) -> io::Result<()> {
-            Ok(())
-        }
-    }
-
-    let mut hasher = Hasher(Sha256::new());
-    npy::write_tile(tile, &mut hasher).expect("hashing cannot fail");
-    hasher.0.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+    let mut hashed = Hashed::new(io::sink());
+    npy::write_tile(tile, &mut hashed).expect("hashing cannot fail");
+    hashed.hexadecimal()
 }
 
 /// A point in time as `2026-01-31T23:59:59Z`; times before 1970 count as its first second.

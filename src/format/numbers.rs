@@ -1,0 +1,143 @@
+//! Numbers that come in pieces, written as bytes: no more than a block of them is held here, so
+//! that whoever writes an array need not have it whole.
+
+use std::io::{self, ErrorKind, Write};
+
+/// Takes an array piece by piece, in order, and fails if it can take no more.
+pub type Put<'a> = dyn FnMut(&[f32]) -> io::Result<()> + 'a;
+
+/// Numbers that are converted and passed on at a time: they stay in the caches.
+pub(super) const BLOCK: usize = 1 << 14;
+
+/// Writes `count` numbers as little-endian `f32`. `pieces` hands them over, in order, to what it
+/// is called with.
+///
+/// # Errors
+/// What `out` or `pieces` reports, and [`ErrorKind::InvalidData`] if there are more numbers or
+/// fewer. After an error of `out` every other piece is refused, and the whole fails even if
+/// `pieces` does not pass the error on.
+pub(super) fn write(
+    out: &mut (impl Write + ?Sized),
+    count: u64,
+    pieces: &mut dyn FnMut(&mut Put<'_>) -> io::Result<()>,
+) -> io::Result<()> {
+    let mut numbers = Numbers { out, buffer: Vec::new(), count, left: count, failed: None };
+    pieces(&mut |piece| numbers.put(piece))?;
+    numbers.finish()
+}
+
+/// Numbers on their way.
+struct Numbers<'a, W: ?Sized> {
+    out: &'a mut W,
+    /// Those that do not fill a block yet.
+    buffer: Vec<u32>,
+    /// How many there must be.
+    count: u64,
+    /// How many are to come.
+    left: u64,
+    /// Why no more are taken.
+    failed: Option<ErrorKind>,
+}
+
+impl<W: Write + ?Sized> Numbers<'_, W> {
+    fn put(&mut self, piece: &[f32]) -> io::Result<()> {
+        if let Some(kind) = self.failed {
+            return Err(kind.into());
+        }
+        let result = self.pass_on(piece);
+        self.failed = result.as_ref().err().map(io::Error::kind);
+        result
+    }
+
+    fn pass_on(&mut self, mut piece: &[f32]) -> io::Result<()> {
+        let left = self.left.checked_sub(piece.len() as u64);
+        self.left = left.ok_or_else(|| {
+            let message = format!("more than {} numbers are to be written", self.count);
+            io::Error::new(ErrorKind::InvalidData, message)
+        })?;
+        while !piece.is_empty() {
+            let (block, rest) = piece.split_at(piece.len().min(BLOCK - self.buffer.len()));
+            self.buffer.extend(block.iter().map(|number| number.to_bits().to_le()));
+            piece = rest;
+            if self.buffer.len() == BLOCK {
+                self.flush()?;
+            }
+        }
+        Ok(())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.out.write_all(bytemuck::cast_slice(&self.buffer))?;
+        self.buffer.clear();
+        Ok(())
+    }
+
+    fn finish(mut self) -> io::Result<()> {
+        if let Some(kind) = self.failed {
+            return Err(kind.into());
+        }
+        if self.left > 0 {
+            let Self { count, left, .. } = self;
+            let message = format!("{} numbers instead of {count} are to be written", count - left);
+            return Err(io::Error::new(ErrorKind::InvalidData, message));
+        }
+        self.flush()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    proptest! {
+        #[test]
+        fn pieces_of_any_size_are_the_whole(
+            bits in prop::collection::vec(any::<u32>(), 0..60),
+            cuts in prop::collection::vec(any::<prop::sample::Index>(), 0..9),
+            repeat in prop_oneof![Just(1_usize), Just(1000)],
+        ) {
+            let bits = bits.repeat(repeat);
+            let numbers: Vec<f32> = bits.iter().map(|bits| f32::from_bits(*bits)).collect();
+            let whole: Vec<u8> = bits.iter().flat_map(|bits| bits.to_le_bytes()).collect();
+            let mut cuts: Vec<usize> = cuts.iter().map(|cut| cut.index(bits.len() + 1)).collect();
+            cuts.extend([0, bits.len()]);
+            cuts.sort_unstable();
+            let give = |count: usize| {
+                let mut bytes = Vec::new();
+                let given = write(&mut bytes, count as u64, &mut |put| {
+                    cuts.windows(2).try_for_each(|cut| put(&numbers[cut[0]..cut[1]]))
+                });
+                (given.map_err(|error| error.kind()), bytes)
+            };
+            prop_assert_eq!(give(bits.len()), (Ok(()), whole));
+            prop_assert_eq!(give(bits.len() + 1).0, Err(ErrorKind::InvalidData));
+            if !bits.is_empty() {
+                prop_assert_eq!(give(bits.len() - 1).0, Err(ErrorKind::InvalidData));
+            }
+        }
+    }
+
+    #[test]
+    fn an_error_that_is_not_passed_on_is_an_error_all_the_same() {
+        // Room for one block, and then for no more.
+        let mut room = vec![0; 4 * BLOCK];
+        let mut refused = 0;
+        let result = write(&mut room.as_mut_slice(), 3 * BLOCK as u64, &mut |put| {
+            refused += (0..3).filter(|_| put(&[0.5; BLOCK]).is_err()).count();
+            Ok(())
+        });
+        assert_eq!((result.unwrap_err().kind(), refused), (ErrorKind::WriteZero, 2));
+        // One piece too many, and then the right number.
+        let result = write(&mut Vec::new(), 2, &mut |put| {
+            let _ = put(&[0.5; 3]);
+            let _ = put(&[0.5; 2]);
+            Ok(())
+        });
+        assert_eq!(result.unwrap_err().kind(), ErrorKind::InvalidData);
+        // Whoever hands numbers over has the last word.
+        let result = write(&mut Vec::new(), 0, &mut |_| Err(io::Error::other("they are gone")));
+        assert_eq!(result.unwrap_err().to_string(), "they are gone");
+    }
+}
