@@ -10,7 +10,7 @@ use thiserror::Error;
 
 use super::png::{self, Depth, Layout, Raster};
 use super::write::{self, Existing, WriteError};
-use crate::tile::Tile;
+use crate::tile::{Tile, TileShape};
 
 /// Pixels that a preview should at least be high.
 const PREVIEW_HEIGHT: usize = 256;
@@ -174,33 +174,84 @@ impl Image {
 /// dimension is gray. Pixels are magnified by the smallest whole factor that makes the picture at
 /// least 256 pixels high, as long as it stays at most 4,096 wide; what nothing covers is white.
 pub fn preview(tile: &Tile) -> Image {
-    let shape = tile.shape();
-    let rows = shape.height().max(shape.frames());
-    let fitting = PREVIEW_WIDTH.saturating_sub(GAP) / (2 * shape.width());
-    let zoom = PREVIEW_HEIGHT.div_ceil(rows).min(fitting).max(1);
-    let half = zoom * shape.width();
-    let color = |x: usize, y: usize, t: usize| {
-        let point = tile.point(x, y, t, 0);
-        let level = |dim: usize| point.get(dim).map_or(0, |&x| Depth::Eight.quantize(x) as u8);
-        if point.len() == 1 { [level(0); 3] } else { [level(0), level(1), level(2)] }
-    };
-    let picture = Image::rgb(2 * half + GAP, zoom * rows, |x, y| {
-        let y = y / zoom;
-        if x < half && y < shape.height() {
-            color(x / zoom, y, 0)
-        } else if x >= half + GAP && y < shape.frames() {
-            color((x - half - GAP) / zoom, 0, y)
-        } else {
-            [255; 3]
+    let mut preview = Preview::new(tile.shape());
+    preview.take(tile.samples());
+    preview.image()
+}
+
+/// What a tile's [`preview()`] shows, gathered from coordinates that come in pieces.
+#[derive(Debug, Clone)]
+pub struct Preview {
+    shape: TileShape,
+    /// Coordinates that have come.
+    taken: usize,
+    /// The pixels of frame 0, and of the row y = 0 of every frame behind it.
+    colors: Vec<[u8; 3]>,
+}
+
+impl Preview {
+    /// The preview of a tile of this shape, black before there are coordinates.
+    pub fn new(shape: TileShape) -> Self {
+        let pixels = shape.width() * (shape.height() + shape.frames() - 1);
+        Self { shape, taken: 0, colors: vec![[0; 3]; pixels] }
+    }
+
+    /// Takes the next coordinates in C order; those behind the last are left out.
+    pub fn take(&mut self, mut piece: &[f32]) {
+        let Self { shape, taken, colors } = self;
+        let (width, height, dims) = (shape.width(), shape.height(), shape.dims());
+        let pixel = shape.spp() * dims;
+        let frame = width * height * pixel;
+        while !piece.is_empty() && *taken < shape.coordinates() {
+            let (t, start) = (*taken / frame, *taken % frame);
+            let (words, rest) = piece.split_at(piece.len().min(frame - start));
+            // Where the first of the frame's pixels that are shown is, and behind the last word.
+            let (first, end) = match t {
+                0 => (0, frame),
+                _ => ((height + t - 1) * width, width * pixel),
+            };
+            for (word, &x) in (start..end).zip(words) {
+                let color = &mut colors[first + word / pixel];
+                let level = Depth::Eight.quantize(x) as u8;
+                match word % pixel {
+                    0 if dims == 1 => *color = [level; 3],
+                    dim if dim < dims.min(3) => color[dim] = level,
+                    _ => (),
+                }
+            }
+            *taken += words.len();
+            piece = rest;
         }
-    });
-    picture.expect("every tile has a pixel")
+    }
+
+    /// Draws the picture.
+    pub fn image(&self) -> Image {
+        let Self { shape, colors, .. } = self;
+        let (width, height) = (shape.width(), shape.height());
+        let rows = height.max(shape.frames());
+        let fitting = PREVIEW_WIDTH.saturating_sub(GAP) / (2 * width);
+        let zoom = PREVIEW_HEIGHT.div_ceil(rows).min(fitting).max(1);
+        let half = zoom * width;
+        let picture = Image::rgb(2 * half + GAP, zoom * rows, |x, y| {
+            let y = y / zoom;
+            if x < half && y < height {
+                colors[y * width + x / zoom]
+            } else if x >= half + GAP && y < shape.frames() {
+                let row = if y == 0 { 0 } else { height + y - 1 };
+                colors[row * width + (x - half - GAP) / zoom]
+            } else {
+                [255; 3]
+            }
+        });
+        picture.expect("every tile has a pixel")
+    }
 }
 
 #[cfg(test)]
 mod tests {
+    use proptest::prelude::*;
+
     use super::*;
-    use crate::tile::TileShape;
 
     fn ramp(shape: TileShape) -> Tile {
         let count = shape.coordinates();
@@ -249,6 +300,46 @@ mod tests {
         assert_eq!(gray.pixel(64, 64), [5 * 16; 3]);
         let rgb = preview(&ramp(TileShape::new(4, 4, 1, 1, 4).unwrap()));
         assert_eq!(rgb.pixel(64, 64), [20 * 4, 21 * 4, 22 * 4]);
+    }
+
+    proptest! {
+        #[test]
+        fn pieces_of_any_size_make_the_same_preview(
+            (width, height, frames) in (1_usize..6, 1_usize..6, 1_usize..6),
+            (spp, dims) in (1_usize..4, 1_usize..5),
+            sizes in prop::collection::vec(1_usize..40, 1..6),
+        ) {
+            let tile = ramp(TileShape::new(width, height, frames, spp, dims).unwrap());
+            let mut pieces = Preview::new(tile.shape());
+            let mut rest = tile.samples();
+            for &size in sizes.iter().cycle() {
+                let (piece, others) = rest.split_at(size.min(rest.len()));
+                pieces.take(piece);
+                rest = others;
+                if rest.is_empty() {
+                    break;
+                }
+            }
+            // More than there are do no harm.
+            pieces.take(&[0.999; 50]);
+            let picture = pieces.image();
+            prop_assert_eq!(&picture, &preview(&tile));
+            let zoom = picture.height() / height.max(frames);
+            let color = |x: usize, y: usize, t: usize| -> Vec<u8> {
+                let point = tile.point(x, y, t, 0);
+                let of = |k: usize| if dims == 1 { 0 } else { k };
+                (0..3).map(|k| point.get(of(k)).map_or(0, |x| (x * 256.0) as u8)).collect()
+            };
+            for x in 0..width {
+                for y in 0..height {
+                    prop_assert_eq!(picture.pixel(x * zoom, y * zoom), color(x, y, 0));
+                }
+                for t in 0..frames {
+                    let left = (width + x) * zoom + GAP;
+                    prop_assert_eq!(picture.pixel(left, t * zoom), color(x, 0, t));
+                }
+            }
+        }
     }
 
     #[test]
