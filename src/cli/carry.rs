@@ -151,7 +151,7 @@ impl CarryArgs {
         let told = serde_json::json!({ "options": options, "summary": summary, "workers": crew });
         #[cfg(not(unix))]
         let told = serde_json::json!({ "options": options, "summary": summary });
-        let provenance = Sidecar {
+        let provenance = |sha256| Sidecar {
             format: sidecar::FORMAT,
             program: env!("CARGO_PKG_NAME").into(),
             version: env!("CARGO_PKG_VERSION").into(),
@@ -162,10 +162,10 @@ impl CarryArgs {
             options: told,
             created: sidecar::utc(SystemTime::now()),
             seconds,
-            sha256: sidecar::digest(&tile),
+            sha256,
             scores: serde_json::json!(scores),
         };
-        outputs.write(&tile, &provenance, existing)?;
+        outputs.write(&tile, existing, provenance)?;
         let mut text = report(&options, &summary, scores.as_ref(), &outputs, seconds);
         #[cfg(unix)]
         if let Some(crew) = &crew {
