@@ -29,6 +29,9 @@ use serde::de::DeserializeOwned;
 use sha2::{Digest, Sha256};
 use thiserror::Error;
 
+use super::hashed::{DIGEST, Hashed};
+use super::numbers::{self, BLOCK, Put};
+
 /// The version of the layout that is written and read.
 pub const FORMAT: u32 = 1;
 /// Most arrays of a checkpoint.
@@ -46,10 +49,6 @@ const PREFIX: usize = 12;
 const SEALED: usize = PREFIX + 4 + 8 + 8 * MAX_ARRAYS + DIGEST;
 /// Bytes of the fixed part.
 const FIXED: usize = SEALED + DIGEST;
-/// Bytes of a SHA-256.
-const DIGEST: usize = 32;
-/// Numbers that are converted, hashed and passed on at a time: they stay in the caches.
-const BLOCK: usize = 1 << 14;
 
 /// Why bytes are not a checkpoint that can be used.
 #[derive(Debug, Error)]
@@ -112,16 +111,20 @@ pub enum CheckpointError {
     },
 }
 
-/// Writes a checkpoint. Each array comes in pieces, which are passed on block by block, never
-/// copied whole.
+/// Writes a checkpoint of a head and arrays with so many numbers each.
+///
+/// `array` is asked for one array after the other, and hands its numbers over, in pieces, to what
+/// it is called with. When something has failed, it is asked for no more.
 ///
 /// # Errors
-/// What `out` reports; a head that cannot be encoded or has more than [`MAX_HEAD`] bytes, and
-/// more than [`MAX_ARRAYS`] arrays ([`ErrorKind::InvalidInput`], nothing is written).
+/// What `out` or `array` reports; a head that cannot be encoded or has more than [`MAX_HEAD`]
+/// bytes, and more than [`MAX_ARRAYS`] arrays ([`ErrorKind::InvalidInput`], nothing is written);
+/// an array with more numbers than its length says, or fewer ([`ErrorKind::InvalidData`]).
 pub fn write<H: Serialize>(
     out: &mut impl Write,
     head: &H,
-    arrays: &[Vec<&[f32]>],
+    lengths: &[u64],
+    array: &mut dyn FnMut(usize, &mut Put<'_>) -> io::Result<()>,
 ) -> io::Result<()> {
     let refused = |why: String| io::Error::new(ErrorKind::InvalidInput, why);
     let head = codec::encode(head)
@@ -130,35 +133,19 @@ pub fn write<H: Serialize>(
         let bytes = head.len();
         return Err(refused(format!("the head has {bytes} bytes, but may have {MAX_HEAD}")));
     }
-    if arrays.len() > MAX_ARRAYS {
-        let number = arrays.len();
+    if lengths.len() > MAX_ARRAYS {
+        let number = lengths.len();
         return Err(refused(format!("there are {number} arrays, but may be {MAX_ARRAYS}")));
     }
-    let lengths = Lengths {
-        head: head.len() as u64,
-        arrays: arrays
-            .iter()
-            .map(|array| array.iter().map(|piece| piece.len() as u64).sum())
-            .collect(),
-    };
-    let mut out = HashedWriter { out, hasher: Sha256::new() };
-    out.put(&lengths.encode(&Sha256::digest(&head).into()))?;
-    out.put(&head)?;
-    let mut buffer = Vec::with_capacity(BLOCK);
-    for mut piece in arrays.iter().flatten().copied() {
-        while !piece.is_empty() {
-            let (block, rest) = piece.split_at(piece.len().min(BLOCK - buffer.len()));
-            buffer.extend(block.iter().map(|number| number.to_bits().to_le()));
-            piece = rest;
-            if buffer.len() == BLOCK {
-                out.put(bytemuck::cast_slice(&buffer))?;
-                buffer.clear();
-            }
-        }
+    let lengths = Lengths { head: head.len() as u64, arrays: lengths.to_vec() };
+    let mut out = Hashed::new(out);
+    out.write_all(&lengths.encode(&Sha256::digest(&head).into()))?;
+    out.write_all(&head)?;
+    for (index, length) in lengths.arrays.iter().enumerate() {
+        numbers::write(&mut out, *length, &mut |put| array(index, put))?;
     }
-    out.put(bytemuck::cast_slice(&buffer))?;
-    let digest = out.hasher.finalize();
-    out.out.write_all(&digest)
+    let (out, digest) = out.finish();
+    out.write_all(&digest)
 }
 
 /// Reads a checkpoint of `len` bytes: its head and its arrays.
@@ -323,19 +310,6 @@ fn split<const N: usize>(bytes: &[u8]) -> ([u8; N], &[u8]) {
     (first, others)
 }
 
-/// Passes bytes on, and hashes them.
-struct HashedWriter<'a, W> {
-    out: &'a mut W,
-    hasher: Sha256,
-}
-
-impl<W: Write> HashedWriter<'_, W> {
-    fn put(&mut self, bytes: &[u8]) -> io::Result<()> {
-        self.hasher.update(bytes);
-        self.out.write_all(bytes)
-    }
-}
-
 /// Takes bytes in, hashes them, and knows where it is.
 struct HashedReader<'a, R> {
     input: &'a mut R,
@@ -399,14 +373,9 @@ mod tests {
     }
 
     fn bytes(head: &Head, arrays: &[&[f32]]) -> Vec<u8> {
-        // In two pieces each.
-        let arrays: Vec<Vec<&[f32]>> = arrays
-            .iter()
-            .map(|array| array.split_at(array.len() / 3))
-            .map(|(one, other)| vec![one, other])
-            .collect();
         let mut bytes = Vec::new();
-        write(&mut bytes, head, &arrays).unwrap();
+        let lengths: Vec<u64> = arrays.iter().map(|array| array.len() as u64).collect();
+        write(&mut bytes, head, &lengths, &mut |array, put| put(arrays[array])).unwrap();
         bytes
     }
 
@@ -454,6 +423,47 @@ mod tests {
             prop_assert_eq!(head_again, head);
             let expected: Vec<u64> = arrays.iter().map(|array| array.len() as u64).collect();
             prop_assert_eq!(lengths, expected);
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn arrays_in_pieces_make_the_file_that_the_layout_says(
+            arrays in prop::collection::vec(prop::collection::vec(any::<u32>(), 0..50), 0..5),
+            size in 1_usize..60, wrong in any::<prop::sample::Index>(),
+        ) {
+            let le = |array: &Vec<u32>| array.iter().flat_map(|x| x.to_le_bytes()).collect::<Vec<_>>();
+            let encoded = codec::encode(&head()).unwrap();
+            let mut expected = [&MAGIC[..], &1_u32.to_le_bytes()].concat();
+            expected.extend((arrays.len() as u32).to_le_bytes());
+            expected.extend((encoded.len() as u64).to_le_bytes());
+            let mut lengths: Vec<u64> = arrays.iter().map(|array| array.len() as u64).collect();
+            expected.extend((0..16).flat_map(|i| lengths.get(i).unwrap_or(&0).to_le_bytes()));
+            expected.extend(Sha256::digest(&encoded));
+            expected.extend(Sha256::digest(&expected));
+            expected.extend(&encoded);
+            expected.extend(arrays.iter().flat_map(le));
+            expected.extend(Sha256::digest(&expected));
+
+            let give = |lengths: &[u64]| {
+                let mut bytes = Vec::new();
+                let result = write(&mut bytes, &head(), lengths, &mut |array, put| {
+                    let array: Vec<f32> =
+                        arrays[array].iter().map(|bits| f32::from_bits(*bits)).collect();
+                    array.chunks(size).try_for_each(put)
+                });
+                result.map(|()| bytes).map_err(|error| error.kind())
+            };
+            prop_assert_eq!(give(&lengths), Ok(expected));
+            if !arrays.is_empty() {
+                let wrong = wrong.index(arrays.len());
+                lengths[wrong] += 1;
+                prop_assert_eq!(give(&lengths), Err(ErrorKind::InvalidData));
+                if lengths[wrong] > 1 {
+                    lengths[wrong] -= 2;
+                    prop_assert_eq!(give(&lengths), Err(ErrorKind::InvalidData));
+                }
+            }
         }
     }
 
@@ -617,7 +627,7 @@ mod tests {
         // Each takes one byte in the file and eight in memory, more than the longest head.
         let long = vec![1_u64; MAX_HEAD / 4];
         let mut file = Vec::new();
-        write(&mut file, &long, &[]).unwrap();
+        write(&mut file, &long, &[], &mut |_, _| Ok(())).unwrap();
         let (again, _): (Vec<u64>, _) = read(&mut &*file, file.len() as u64).unwrap();
         assert!(again == long);
     }
@@ -625,9 +635,10 @@ mod tests {
     #[test]
     fn what_no_reader_would_take_is_not_written() {
         let mut out = Vec::new();
-        let many = write(&mut out, &head(), &vec![vec![]; MAX_ARRAYS + 1]).unwrap_err();
+        let none = &mut |_, _: &mut Put<'_>| panic!("nothing is asked");
+        let many = write(&mut out, &head(), &[0; MAX_ARRAYS + 1], none).unwrap_err();
         assert!(many.to_string().contains("17 arrays"));
-        let long = write(&mut out, &"x".repeat(MAX_HEAD), &[]).unwrap_err();
+        let long = write(&mut out, &"x".repeat(MAX_HEAD), &[0], none).unwrap_err();
         assert!(long.to_string().contains("may have 67108864"));
         assert_eq!(many.kind(), ErrorKind::InvalidInput);
         assert_eq!(long.kind(), ErrorKind::InvalidInput);
@@ -650,11 +661,12 @@ mod tests {
         }
         for room in [0, PREFIX, FIXED, FIXED + 10, good.len() - 1] {
             let mut out = vec![0; room];
-            assert!(write(&mut out.as_mut_slice(), &head(), &[vec![&[0.0; 2 * BLOCK]]]).is_err());
+            let zeros = &mut |_, put: &mut Put<'_>| put(&[0.0; 2 * BLOCK]);
+            assert!(write(&mut out.as_mut_slice(), &head(), &[2 * BLOCK as u64], zeros).is_err());
         }
         if cfg!(target_os = "linux") {
             let mut full = std::fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
-            let error = write(&mut full, &head(), &[vec![&[0.0]]]).unwrap_err();
+            let error = write(&mut full, &head(), &[1], &mut |_, put| put(&[0.0])).unwrap_err();
             assert_eq!(error.kind(), ErrorKind::StorageFull);
         }
     }

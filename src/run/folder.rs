@@ -23,6 +23,7 @@ use serde::de::DeserializeOwned;
 use thiserror::Error;
 
 use crate::format::checkpoint::{self, CheckpointError};
+use crate::format::numbers::Put;
 use crate::format::write::Existing;
 use system::Directory;
 
@@ -263,21 +264,23 @@ impl RunFolder {
         }
     }
 
-    /// Saves a checkpoint, and then removes all but the last two.
+    /// Saves a checkpoint, and then removes all but the last two. Its arrays come in pieces, see
+    /// [`checkpoint::write`].
     ///
     /// Numbers rise: each must exceed those before, and after [`Self::newest`] the one that was
     /// read.
     ///
     /// # Errors
-    /// Another number, and what the system reports. If the checkpoint cannot be made, the older
-    /// ones stay.
+    /// Another number, and what the system or `array` reports. If the checkpoint cannot be made,
+    /// the older ones stay.
     pub fn save<H: Serialize>(
         &mut self,
         number: u64,
         head: &H,
-        arrays: &[Vec<&[f32]>],
+        lengths: &[u64],
+        array: &mut dyn FnMut(usize, &mut Put<'_>) -> io::Result<()>,
     ) -> Result<(), FolderError> {
-        self.put(number, |mut out| checkpoint::write(&mut out, head, arrays))
+        self.put(number, |mut out| checkpoint::write(&mut out, head, lengths, array))
     }
 
     /// Removes what the run has made, and the folder if that leaves it empty and the system lets
@@ -500,12 +503,13 @@ mod tests {
         drop(create(path).unwrap());
         for number in numbers {
             let mut file = File::create(path.join(format!("checkpoint-{number}"))).unwrap();
-            checkpoint::write(&mut file, &number.to_string(), &[vec![&[*number as f32]]]).unwrap();
+            let array = &mut |_, put: &mut Put<'_>| put(&[*number as f32]);
+            checkpoint::write(&mut file, &number.to_string(), &[1], array).unwrap();
         }
     }
 
     fn save(folder: &mut RunFolder, number: u64) -> Result<(), FolderError> {
-        folder.save(number, &number.to_string(), &[vec![&[number as f32]]])
+        folder.save(number, &number.to_string(), &[1], &mut |_, put| put(&[number as f32]))
     }
 
     fn newest(path: &Path) -> Result<Loaded<String>, FolderError> {
@@ -748,8 +752,14 @@ mod tests {
         assert!(matches!(error, FolderError::Io { action: "write", .. }));
         assert_eq!(names(&path), before);
         // A head that cannot be encoded.
-        let endless = folder.save(3, &Endless, &[]).unwrap_err();
+        let endless = folder.save(3, &Endless, &[], &mut |_, _| Ok(())).unwrap_err();
         assert!(endless.to_string().contains("cannot be encoded"), "{endless}");
+        // Arrays that are shorter than they should be, and one that cannot be had.
+        let short = folder.save(3, &"3", &[2], &mut |_, put| put(&[3.0])).unwrap_err();
+        assert!(short.to_string().contains("1 numbers instead of 2"), "{short}");
+        let gone = &mut |_, _: &mut Put<'_>| Err(io::Error::other("nobody has it"));
+        let gone = folder.save(3, &"3", &[2], gone).unwrap_err();
+        assert!(gone.to_string().contains("nobody has it"), "{gone}");
         for number in [0, 1, 2] {
             let error = save(&mut folder, number).unwrap_err();
             assert!(matches!(error, FolderError::Number { last: 2, .. }), "{error}");

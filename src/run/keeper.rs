@@ -10,6 +10,7 @@ use std::time::{Duration, Instant};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+use crate::format::numbers::Put;
 use crate::format::write::Existing;
 use crate::run::begin::Begin;
 use crate::run::folder::{FolderError, Loaded, RunFolder};
@@ -46,6 +47,14 @@ impl FromStr for Every {
         let time = Duration::try_from_secs_f64(seconds * factor).map_err(|_| wrong())?;
         if time.is_zero() { Err(wrong()) } else { Ok(Self::Time(time)) }
     }
+}
+
+/// Arrays of a checkpoint: samples and two moments.
+const ARRAYS: usize = 3;
+
+/// How many numbers the arrays of a program's checkpoints have.
+fn lengths(program: &Program) -> [u64; ARRAYS] {
+    [program.options.shape.coordinates() as u64; ARRAYS]
 }
 
 /// The head of a checkpoint; samples and both moments, in line order, follow it.
@@ -237,7 +246,8 @@ impl Keeper {
             record: record.to_values(),
             invocation: self.invocation.clone(),
         };
-        self.folder()?.save(u64::from(done) + 1, &head, &state.arrays())?;
+        let array = &mut |index: usize, put: &mut Put<'_>| state.array(index, put);
+        self.folder()?.save(u64::from(done) + 1, &head, &lengths(program), array)?;
         self.saved_at = Some(done);
         Ok(())
     }

@@ -13,6 +13,7 @@
 //! Every sample's gradient is summed by one thread in the order of the offsets, so no order of
 //! execution can change it.
 
+use std::io;
 use std::sync::Arc;
 
 use glam::IVec3;
@@ -274,8 +275,8 @@ impl Polish {
 }
 
 impl Snapshot for Polish {
-    fn arrays(&self) -> [Vec<&[f32]>; 3] {
-        self.state.arrays()
+    fn array(&self, index: usize, put: &mut dyn FnMut(&[f32]) -> io::Result<()>) -> io::Result<()> {
+        self.state.array(index).into_iter().try_for_each(put)
     }
 }
 

@@ -12,6 +12,7 @@
 //! for it. To copy moments through the journal as well made them 1.05 times as long, and to write
 //! down what was there before 1.2 times.
 
+use std::io;
 use std::ops::Range;
 
 use perceptile_cluster::shared::{Job, Part, Parts, Section};
@@ -24,8 +25,15 @@ use crate::tile::{Reach, Rows, TileShape};
 
 /// The state of a phase between two steps.
 pub trait Snapshot {
-    /// The samples and both moments, in line order and in pieces.
-    fn arrays(&self) -> [Vec<&[f32]>; 3];
+    /// Passes an array on, in line order and piece by piece: the samples (0), the first moments
+    /// (1) or the second (2). Each has as many numbers as the tile has coordinates.
+    ///
+    /// # Errors
+    /// What `put` reports.
+    ///
+    /// # Panics
+    /// If there is no array of that index.
+    fn array(&self, index: usize, put: &mut dyn FnMut(&[f32]) -> io::Result<()>) -> io::Result<()>;
 }
 
 /// Samples and Adam's moments of a tile.
@@ -169,10 +177,10 @@ impl State {
         own_rows(&self.rows, self.samples.whole()).concat()
     }
 
-    /// The samples and both moments, in line order and in pieces.
-    pub fn arrays(&self) -> [Vec<&[f32]>; 3] {
-        let sections = [&self.samples, &self.first, &self.second].map(Parts::whole);
-        arrays(&self.rows, self.slots, self.step, sections)
+    /// One of its arrays, in line order and in pieces; see [`Snapshot::array`].
+    pub fn array(&self, index: usize) -> Vec<&[f32]> {
+        let array = [&self.samples, &self.first, &self.second][index].whole();
+        pieces(&self.rows, self.slots, self.step, array, index)
     }
 
     /// Replaces the samples by others in line order, and keeps the moments. For a rank that is
@@ -197,14 +205,15 @@ fn own_rows<'a>(rows: &Rows, samples: &'a [f32]) -> Vec<&'a [f32]> {
     (0..rows.shape().height() * frames).map(row).collect()
 }
 
-/// Samples and moments as they lie in a phase, in line order and in pieces.
-fn arrays<'a>(
+/// Samples (array 0) or moments as they lie in a phase, in line order and in pieces.
+fn pieces<'a>(
     rows: &Rows,
     slots: Slots,
     step: u32,
-    [samples, first, second]: [&'a [f32]; 3],
-) -> [Vec<&'a [f32]>; 3] {
-    [own_rows(rows, samples), slots.rows(first, step), slots.rows(second, step)]
+    array: &'a [f32],
+    index: usize,
+) -> Vec<&'a [f32]> {
+    if index == 0 { own_rows(rows, array) } else { slots.rows(array, step) }
 }
 
 /// The state of a phase that other ranks carry out, seen while they wait.
@@ -222,10 +231,11 @@ impl<'a> Onlooker<'a> {
 }
 
 impl Snapshot for Onlooker<'_> {
-    fn arrays(&self) -> [Vec<&[f32]>; 3] {
+    fn array(&self, index: usize, put: &mut dyn FnMut(&[f32]) -> io::Result<()>) -> io::Result<()> {
         let Storage { samples, first, second, .. } = self.storage;
-        let sections = [samples, first, second].map(|section| section.slice());
-        arrays(&self.rows, Slots::new(self.rows.shape(), true), self.step, sections)
+        let array = [samples, first, second][index].slice();
+        let slots = Slots::new(self.rows.shape(), true);
+        pieces(&self.rows, slots, self.step, array, index).into_iter().try_for_each(put)
     }
 }
 

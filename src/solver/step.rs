@@ -4,6 +4,7 @@
 //! Both halves are rounds of jobs that share no word that is written: a patch belongs to one
 //! block, a line to one job.
 
+use std::io;
 use std::sync::Arc;
 
 use crossbeam::queue::SegQueue;
@@ -238,8 +239,8 @@ impl<P: Probe> Descent<P> {
 }
 
 impl<P> Snapshot for Descent<P> {
-    fn arrays(&self) -> [Vec<&[f32]>; 3] {
-        self.state.arrays()
+    fn array(&self, index: usize, put: &mut dyn FnMut(&[f32]) -> io::Result<()>) -> io::Result<()> {
+        self.state.array(index).into_iter().try_for_each(put)
     }
 }
 
