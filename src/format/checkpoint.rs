@@ -20,6 +20,10 @@
 //! The lengths have a checksum of their own and must add up to the length of the file, so that
 //! nothing is allocated on the word of a damaged one. The head has its own as well, so that it
 //! can be read and trusted without the arrays.
+//!
+//! Arrays come and go in pieces, and are never whole here. Whether they are good is known only
+//! when all are read, so a file is read twice by who must not act on a damaged one: the first
+//! time gives a [`Seal`], by which the second is known to have read the same ([`read_again`]).
 
 use std::io::{self, ErrorKind, Read, Write};
 
@@ -30,7 +34,7 @@ use sha2::{Digest, Sha256};
 use thiserror::Error;
 
 use super::hashed::{DIGEST, Hashed};
-use super::numbers::{self, BLOCK, Put};
+use super::numbers::{self, BLOCK, Put, Sink};
 
 /// The version of the layout that is written and read.
 pub const FORMAT: u32 = 1;
@@ -103,12 +107,24 @@ pub enum CheckpointError {
     /// An undamaged head that is not of the kind asked for.
     #[error("the head of the checkpoint is of another kind: {0}")]
     Head(CodecError),
-    /// The system does not give the memory that an array takes.
-    #[error("an array takes {bytes} bytes of memory, which are not to be had")]
-    Memory {
-        /// The bytes of the array.
-        bytes: u64,
-    },
+}
+
+/// What a checkpoint was when it was read, by which it is known again.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Seal {
+    /// Bytes of the file.
+    len: u64,
+    /// Numbers in each array.
+    lengths: Vec<u64>,
+    /// SHA-256 of all before it.
+    digest: [u8; DIGEST],
+}
+
+impl Seal {
+    /// How many numbers each array has.
+    pub fn lengths(&self) -> &[u64] {
+        &self.lengths
+    }
 }
 
 /// Writes a checkpoint of a head and arrays with so many numbers each.
@@ -148,60 +164,64 @@ pub fn write<H: Serialize>(
     out.write_all(&digest)
 }
 
-/// Reads a checkpoint of `len` bytes: its head and its arrays.
+/// Reads a checkpoint of `len` bytes: its head, and by what it is known again. The numbers of
+/// each array are passed on piece by piece as they are read, with the number of the array; they
+/// are worth nothing if there is an error in the end.
 ///
-/// Takes no more memory than `len` justifies, and reads at most `len` bytes.
+/// Takes little memory, and reads at most `len` bytes.
 ///
 /// # Errors
 /// Anything that is not exactly a checkpoint of `len` bytes, as [`write()`] writes it; a head that
-/// is no `H`; too little memory; what `input` reports.
-pub fn read<H: DeserializeOwned>(
+/// is no `H`; what `input` or `sink` reports.
+pub fn read_with<H: DeserializeOwned, E: From<CheckpointError>>(
     input: &mut impl Read,
     len: u64,
-) -> Result<(H, Vec<Vec<f32>>), CheckpointError> {
+    sink: &mut Sink<'_, E>,
+) -> Result<(H, Seal), E> {
     let mut input = HashedReader::new(input, len);
     let (head, lengths) = front(&mut input)?;
-    let mut arrays = Vec::with_capacity(lengths.len());
-    for length in lengths {
-        let memory = || CheckpointError::Memory { bytes: length.saturating_mul(4) };
-        let mut left = usize::try_from(length).map_err(|_| memory())?;
-        let mut array = Vec::new();
-        array.try_reserve_exact(left).map_err(|_| memory())?;
-        let mut buffer = vec![0_u32; BLOCK.min(left)];
-        while left > 0 {
-            let block = &mut buffer[..BLOCK.min(left)];
-            input.fill(bytemuck::cast_slice_mut(block))?;
-            array.extend(block.iter().map(|bits| f32::from_bits(u32::from_le(*bits))));
-            left -= block.len();
-        }
-        arrays.push(array);
+    let head = decode(&head)?;
+    let digest = contents(&mut input, &lengths, sink)?;
+    Ok((head, Seal { len, lengths, digest }))
+}
+
+/// Reads the arrays of a checkpoint that was read before, as [`read_with`] does. The arrays have
+/// the same lengths as then, or nothing is passed on.
+///
+/// # Errors
+/// Anything that is not exactly the file that was read before; what `input` or `sink` reports.
+pub fn read_again<E: From<CheckpointError>>(
+    input: &mut impl Read,
+    seal: &Seal,
+    sink: &mut Sink<'_, E>,
+) -> Result<(), E> {
+    let mut input = HashedReader::new(input, seal.len);
+    let (_, lengths) = front(&mut input)?;
+    if lengths != seal.lengths {
+        return Err(CheckpointError::Checksum { part: "lengths" }.into());
     }
-    let expected: [u8; DIGEST] = input.hasher.finalize_reset().into();
-    let mut found = [0; DIGEST];
-    input.fill(&mut found)?;
-    if found != expected {
-        return Err(CheckpointError::Checksum { part: "contents" });
+    if contents(&mut input, &lengths, sink)? != seal.digest {
+        return Err(CheckpointError::Checksum { part: "contents" }.into());
     }
-    Ok((head, arrays))
+    Ok(())
 }
 
 /// Reads only the head of a checkpoint of `len` bytes, and how many numbers each array has.
 ///
-/// Lengths and head are checked; damage in the arrays is left for [`read`] to find.
+/// Lengths and head are checked; damage in the arrays is left for [`read_with`] to find.
 ///
 /// # Errors
-/// As for [`read`], the arrays excepted.
+/// As for [`read_with`], the arrays excepted.
 pub fn read_head<H: DeserializeOwned>(
     input: &mut impl Read,
     len: u64,
 ) -> Result<(H, Vec<u64>), CheckpointError> {
-    front(&mut HashedReader::new(input, len))
+    let (head, lengths) = front(&mut HashedReader::new(input, len))?;
+    Ok((decode(&head)?, lengths))
 }
 
-/// Everything before the arrays, checked: the head, and the numbers in each array.
-fn front<H: DeserializeOwned>(
-    input: &mut HashedReader<impl Read>,
-) -> Result<(H, Vec<u64>), CheckpointError> {
+/// Everything before the arrays, checked: the head as encoded, and the numbers in each array.
+fn front(input: &mut HashedReader<impl Read>) -> Result<(Vec<u8>, Vec<u64>), CheckpointError> {
     let mut fixed = [0; FIXED];
     let (prefix, rest) = fixed.split_at_mut(PREFIX);
     input.need(PREFIX as u64)?;
@@ -233,8 +253,37 @@ fn front<H: DeserializeOwned>(
     if digest != Sha256::digest(&head).as_slice() {
         return Err(CheckpointError::Checksum { part: "head" });
     }
-    let head = codec::decode::<H, HEAD_MEMORY>(&head).map_err(CheckpointError::Head)?;
     Ok((head, lengths.arrays))
+}
+
+fn decode<H: DeserializeOwned>(head: &[u8]) -> Result<H, CheckpointError> {
+    codec::decode::<H, HEAD_MEMORY>(head).map_err(CheckpointError::Head)
+}
+
+/// The arrays, passed on, and the checksum of all. Returns that.
+fn contents<E: From<CheckpointError>>(
+    input: &mut HashedReader<impl Read>,
+    lengths: &[u64],
+    sink: &mut Sink<'_, E>,
+) -> Result<[u8; DIGEST], E> {
+    let mut buffer = vec![0.0_f32; BLOCK];
+    for (array, length) in lengths.iter().enumerate() {
+        let mut left = *length;
+        while left > 0 {
+            let block = &mut buffer[..left.min(BLOCK as u64) as usize];
+            input.fill(bytemuck::cast_slice_mut(block))?;
+            block.iter_mut().for_each(|x| *x = f32::from_bits(u32::from_le(x.to_bits())));
+            sink(array, block)?;
+            left -= block.len() as u64;
+        }
+    }
+    let expected: [u8; DIGEST] = input.hasher.finalize_reset().into();
+    let mut found = [0; DIGEST];
+    input.fill(&mut found)?;
+    if found != expected {
+        return Err(CheckpointError::Checksum { part: "contents" }.into());
+    }
+    Ok(found)
 }
 
 /// How long the parts of a checkpoint are.
@@ -389,6 +438,27 @@ mod tests {
 
     fn load(bytes: &[u8]) -> Result<Contents, CheckpointError> {
         read(&mut &*bytes, bytes.len() as u64)
+    }
+
+    /// Reads whole arrays.
+    fn read<H: DeserializeOwned>(
+        input: &mut impl Read,
+        len: u64,
+    ) -> Result<(H, Vec<Vec<f32>>), CheckpointError> {
+        let mut arrays = Vec::new();
+        let (head, seal) = read_with(input, len, &mut gather(&mut arrays))?;
+        arrays.resize(seal.lengths().len(), Vec::new());
+        assert!(arrays.iter().zip(seal.lengths()).all(|(array, &len)| array.len() as u64 == len));
+        Ok((head, arrays))
+    }
+
+    /// Puts pieces together to arrays, of which the last ones are left out if they are empty.
+    fn gather<E>(arrays: &mut Vec<Vec<f32>>) -> impl FnMut(usize, &[f32]) -> Result<(), E> {
+        |array, piece| {
+            arrays.resize(arrays.len().max(array + 1), Vec::new());
+            arrays[array].extend(piece);
+            Ok(())
+        }
     }
 
     /// Makes the checksum of the lengths right again.
@@ -590,6 +660,61 @@ mod tests {
     }
 
     #[test]
+    fn only_the_same_file_is_read_again() {
+        let good = example();
+        let len = good.len() as u64;
+        let keep = &mut |_, _: &[f32]| Ok::<_, CheckpointError>(());
+        let (_, seal): (Head, _) = read_with(&mut &*good, len, keep).unwrap();
+        assert_eq!(seal.lengths(), [2, 0, BLOCK as u64 + 7]);
+        let again = |file: &[u8]| {
+            let mut arrays = Vec::new();
+            let result: Result<(), CheckpointError> =
+                read_again(&mut &*file, &seal, &mut gather(&mut arrays));
+            match result {
+                Ok(()) => Ok(arrays),
+                Err(error) => Err((error.to_string(), arrays)),
+            }
+        };
+        assert_eq!(again(&good).unwrap(), load(&good).unwrap().1);
+
+        // A good one, as long, and one with other arrays.
+        let long = vec![1.0; BLOCK + 7];
+        let other = bytes(&head(), &[&[0.5, -0.0], &[], &long]);
+        assert_eq!((other.len(), load(&other).is_ok()), (good.len(), true));
+        assert!(again(&other).unwrap_err().0.contains("the contents does not match"));
+        let other = bytes(&head(), &[&[0.5], &[-0.0], &long]);
+        let (message, arrays) = again(&other).unwrap_err();
+        assert!(message.contains("the lengths does not match") && arrays.is_empty(), "{message}");
+        let mut damaged = good.clone();
+        damaged[good.len() - 40] ^= 1;
+        assert!(again(&damaged).unwrap_err().0.contains("the contents does not match"));
+        assert!(again(&good[..good.len() - 1]).unwrap_err().0.contains("cut short"));
+    }
+
+    #[test]
+    fn who_takes_the_numbers_may_refuse_them() {
+        #[derive(Debug)]
+        enum Refused {
+            Checkpoint,
+            Array(usize),
+        }
+        impl From<CheckpointError> for Refused {
+            fn from(_: CheckpointError) -> Self {
+                Self::Checkpoint
+            }
+        }
+        let good = example();
+        let sink = &mut |array, _: &[f32]| match array {
+            0 => Ok(()),
+            _ => Err(Refused::Array(array)),
+        };
+        let result = read_with::<Head, _>(&mut &*good, good.len() as u64, sink);
+        assert!(matches!(result, Err(Refused::Array(2))));
+        let result = read_with::<Head, _>(&mut &*good, 7, sink);
+        assert!(matches!(result, Err(Refused::Checkpoint)));
+    }
+
+    #[test]
     fn another_version_is_named() {
         let mut file = example();
         file[8..12].copy_from_slice(&(FORMAT + 1).to_le_bytes());
@@ -609,17 +734,6 @@ mod tests {
         assert!(matches!(other, Err(CheckpointError::Head(_))));
         let less: Result<(u64, _), _> = read_head(&mut &*file, file.len() as u64);
         assert!(matches!(less, Err(CheckpointError::Head(_))));
-    }
-
-    #[test]
-    fn memory_that_is_not_to_be_had_is_an_error() {
-        let mut file = bytes(&head(), &[&[]]);
-        let place = PREFIX + 12;
-        file[place..place + 8].copy_from_slice(&(1_u64 << 60).to_le_bytes());
-        seal(&mut file);
-        let len = file.len() as u64 + (1 << 62);
-        let result: Result<Contents, _> = read(&mut file.chain(io::repeat(0)), len);
-        assert!(matches!(result, Err(CheckpointError::Memory { bytes }) if bytes == 1 << 62));
     }
 
     #[test]

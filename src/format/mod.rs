@@ -7,8 +7,8 @@
 //! write through [`write`](mod@write), which never loses an existing file. [`checkpoint`] is both
 //! ways: the state of a run that is to go on later.
 //!
-//! A tile may be larger than memory, so it can be written from pieces ([`numbers`]) by somebody who
-//! does not hold it.
+//! Tiles and checkpoints may be larger than memory. They are written from pieces ([`numbers`]), and
+//! checkpoints are read in pieces, so that who writes or reads for others need not hold them.
 //!
 //! Every reader takes hostile input: it answers with a tile or an error that names the value and
 //! the rule, and allocates no more than the size of the file can justify.

@@ -5,6 +5,8 @@ use std::io::{self, ErrorKind, Write};
 
 /// Takes an array piece by piece, in order, and fails if it can take no more.
 pub type Put<'a> = dyn FnMut(&[f32]) -> io::Result<()> + 'a;
+/// Takes the pieces of several arrays, each with the number of its array.
+pub type Sink<'a, E> = dyn FnMut(usize, &[f32]) -> Result<(), E> + 'a;
 
 /// Numbers that are converted and passed on at a time: they stay in the caches.
 pub(super) const BLOCK: usize = 1 << 14;

@@ -80,18 +80,18 @@ impl CrewProfile {
         step: f64,
         time: Duration,
     ) -> Result<Self, CrewProfileError> {
-        let begin = Begin::new(program, None)?;
+        let begin = || Begin::new(program, None);
         let steps = (time.as_secs_f64() / step) as u32;
         let steps = steps.clamp(FEWEST, MOST).min(program.options.steps).max(1);
         let mut some = program.clone();
         some.options.stop_after = Some(steps);
         some.options.warp.frames = 0;
-        let made = crew::carry_out(&some, begin.clone(), simd, options, &mut Unobserved, None)?;
+        let made = crew::carry_out(&some, begin()?, simd, options, &mut Unobserved, None)?;
         let (_, summary, workers) = made;
         let descent = summary.seconds.iter().filter(|(phase, _)| *phase == Phase::Descent);
         let seconds: f64 = descent.map(|(_, seconds)| seconds).sum();
         let task = codec::encode(&Task::Idle { steps: IDLE })?;
-        let (reports, _) = crew::employ(program, begin, simd, options, task)?;
+        let (reports, _) = crew::employ(program, begin()?, simd, options, task)?;
         let mut idle = Vec::new();
         for report in reports {
             idle.push(codec::decode::<f64, LIMIT>(&report)?);

@@ -126,7 +126,8 @@ const FAREWELL: Duration = Duration::from_millis(300);
 /// Carries out a program by worker processes, as many as its team has ranks.
 ///
 /// # Errors
-/// If there is too little memory, if workers do not start, or if too many are lost.
+/// If there is too little memory, if a checkpoint cannot be read again, if workers do not start, or
+/// if too many are lost.
 pub fn carry_out(
     program: &Program,
     begin: Begin,
@@ -217,7 +218,7 @@ fn start(
     }
     let map = Map::create(&file, header)?;
     let (world, mut storage) = plan.open(map, 0, None);
-    begin.put(program, &world, &mut storage);
+    begin.put(program, &world, &mut storage).map_err(ProgramError::from)?;
     let errand = Errand {
         program: program.clone(),
         other,

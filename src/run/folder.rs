@@ -15,15 +15,15 @@ mod system;
 
 use std::fmt::Write as _;
 use std::fs::{self, File, TryLockError};
-use std::io::{self, BufWriter, ErrorKind, Write};
+use std::io::{self, BufWriter, ErrorKind, Seek, Write};
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use thiserror::Error;
 
-use crate::format::checkpoint::{self, CheckpointError};
-use crate::format::numbers::Put;
+use crate::format::checkpoint::{self, CheckpointError, Seal};
+use crate::format::numbers::{Put, Sink};
 use crate::format::write::Existing;
 use system::Directory;
 
@@ -130,6 +130,14 @@ pub enum FolderError {
         /// Its checkpoints, newest first, and why not.
         damaged: Vec<(PathBuf, CheckpointError)>,
     },
+    /// A checkpoint is no longer what it was.
+    #[error("{} was good, but not when it was read again: {error}", path.display())]
+    Changed {
+        /// The checkpoint.
+        path: PathBuf,
+        /// What is wrong now.
+        error: CheckpointError,
+    },
     /// A checkpoint that would not be the newest.
     #[error(
         "cannot write {CHECKPOINT}{number} in {}: numbers rise, and the run is at {last}",
@@ -192,9 +200,58 @@ pub struct Loaded<H> {
     /// Its head.
     pub head: H,
     /// Its arrays.
-    pub arrays: Vec<Vec<f32>>,
+    pub arrays: Arrays,
     /// Newer checkpoints that cannot be used, newest first, and why not.
     pub damaged: Vec<(PathBuf, CheckpointError)>,
+}
+
+/// The arrays of a checkpoint that was found good. They stay in its file, which stays open, so
+/// that no other can take its place.
+#[derive(Debug)]
+pub struct Arrays {
+    path: PathBuf,
+    file: File,
+    seal: Seal,
+}
+
+impl Arrays {
+    /// How many numbers each array has.
+    pub fn lengths(&self) -> &[u64] {
+        self.seal.lengths()
+    }
+
+    /// Reads the arrays, one after the other, and passes them on piece by piece, each piece with
+    /// the number of its array. What was passed on is worth nothing if there is an error in the
+    /// end, but was never more than [`Self::lengths`] say.
+    ///
+    /// # Errors
+    /// [`FolderError::Changed`] if the file is not what it was, what the system reports, and what
+    /// `sink` does.
+    pub fn read<E: From<FolderError>>(&mut self, sink: &mut Sink<'_, E>) -> Result<(), E> {
+        let Self { path, file, seal } = self;
+        file.rewind().map_err(FolderError::io("read", path))?;
+        let read = checkpoint::read_again(file, seal, &mut |array, piece| {
+            sink(array, piece).map_err(Failure::Sink)
+        });
+        read.map_err(|failure| match failure {
+            Failure::Checkpoint(error) => FolderError::Changed { path: path.clone(), error }.into(),
+            Failure::Sink(error) => error,
+        })
+    }
+}
+
+/// Why arrays were not passed on.
+enum Failure<E> {
+    /// They could not be read.
+    Checkpoint(CheckpointError),
+    /// They were not wanted.
+    Sink(E),
+}
+
+impl<E> From<CheckpointError> for Failure<E> {
+    fn from(error: CheckpointError) -> Self {
+        Self::Checkpoint(error)
+    }
 }
 
 impl RunFolder {
@@ -230,31 +287,43 @@ impl RunFolder {
         self.directory.path()
     }
 
-    /// Reads the newest checkpoint that can be used.
+    /// Reads the newest checkpoint that can be used, all of it, but keeps no array: the numbers
+    /// are shown to `look` piece by piece, with those of the checkpoint and of the array. Also
+    /// numbers of checkpoints that turn out to be damaged are shown.
     ///
     /// The run is then at its number: what is newer goes when the next one is saved.
     ///
     /// # Errors
     /// [`FolderError::NoRun`] if there is no checkpoint, [`FolderError::Damaged`] if none can be
     /// used, and what is no file of ours under the name of a checkpoint.
-    pub fn newest<H: DeserializeOwned>(&mut self) -> Result<Loaded<H>, FolderError> {
+    pub fn newest<H: DeserializeOwned>(
+        &mut self,
+        look: &mut dyn FnMut(u64, usize, &[f32]),
+    ) -> Result<Loaded<H>, FolderError> {
         let mut damaged = Vec::new();
         for number in self.numbers()? {
             let name = Entry::Checkpoint(number).name();
+            let path = self.path().join(&name);
+            let mut show = |array, piece: &[f32]| {
+                look(number, array, piece);
+                Ok(())
+            };
             let result = match self.directory.open_file(&name) {
                 Ok(mut file) => file
                     .metadata()
                     .map_err(CheckpointError::Io)
-                    .and_then(|metadata| checkpoint::read(&mut file, metadata.len())),
+                    .and_then(|it| checkpoint::read_with(&mut file, it.len(), &mut show))
+                    .map(|(head, seal)| (head, file, seal)),
                 Err(FolderError::Io { error, .. }) => Err(CheckpointError::Io(error)),
                 Err(error) => return Err(error),
             };
             match result {
-                Ok((head, arrays)) => {
+                Ok((head, file, seal)) => {
                     self.last = Some(number);
+                    let arrays = Arrays { path, file, seal };
                     return Ok(Loaded { number, head, arrays, damaged });
                 }
-                Err(error) => damaged.push((self.path().join(name), error)),
+                Err(error) => damaged.push((path, error)),
             }
         }
         let path = self.path().to_owned();
@@ -513,9 +582,28 @@ mod tests {
     }
 
     fn newest(path: &Path) -> Result<Loaded<String>, FolderError> {
-        let loaded = RunFolder::open(path)?.newest::<String>()?;
+        read_newest(&mut RunFolder::open(path)?)
+    }
+
+    /// The newest checkpoint, which must have what [`save`] puts there, both times it is read.
+    fn read_newest(folder: &mut RunFolder) -> Result<Loaded<String>, FolderError> {
+        let mut seen = Vec::new();
+        let mut loaded = folder.newest::<String>(&mut |number, array, piece| {
+            seen.push((number, array, piece.to_vec()));
+        })?;
         assert_eq!(loaded.head, loaded.number.to_string());
-        assert_eq!(loaded.arrays, [[loaded.number as f32]]);
+        let number = loaded.number;
+        let expected = (number, 0, vec![number as f32]);
+        assert_eq!(seen.last(), Some(&expected));
+        assert_eq!(loaded.arrays.lengths(), [1]);
+        for _ in 0..2 {
+            let mut again = Vec::new();
+            loaded.arrays.read::<FolderError>(&mut |array, piece| {
+                again.push((number, array, piece.to_vec()));
+                Ok(())
+            })?;
+            assert_eq!(again, std::slice::from_ref(&expected));
+        }
         Ok(loaded)
     }
 
@@ -547,9 +635,8 @@ mod tests {
         assert_eq!(names(&path), ["checkpoint-10", "checkpoint-100", LOCK]);
         drop(folder);
         let mut folder = RunFolder::open(&path).unwrap();
-        let loaded = folder.newest::<String>().unwrap();
+        let loaded = read_newest(&mut folder).unwrap();
         assert_eq!((loaded.number, loaded.head.as_str()), (100, "100"));
-        assert_eq!(loaded.arrays, [[100.0]]);
         assert!(loaded.damaged.is_empty());
         save(&mut folder, 101).unwrap();
         assert_eq!(names(&path), ["checkpoint-100", "checkpoint-101", LOCK]);
@@ -685,7 +772,7 @@ mod tests {
         damage(&path.join("checkpoint-11"));
         fs::write(path.join("checkpoint-10"), "").unwrap();
         let mut folder = RunFolder::open(&path).unwrap();
-        let loaded = folder.newest::<String>().unwrap();
+        let loaded = read_newest(&mut folder).unwrap();
         assert_eq!(loaded.number, 9);
         let paths: Vec<_> = loaded.damaged.iter().map(|(path, _)| path.clone()).collect();
         assert_eq!(paths, [path.join("checkpoint-11"), path.join("checkpoint-10")]);
@@ -698,6 +785,42 @@ mod tests {
         assert_eq!(names(&path), ["checkpoint-10", "checkpoint-9", LOCK]);
         drop(folder);
         assert_eq!(newest(&path).unwrap().number, 10);
+    }
+
+    #[test]
+    fn a_checkpoint_that_changed_since_it_was_looked_at_is_not_gone_on_from() {
+        let (_around, path) = place();
+        left(&path, &[4, 5]);
+        let name = path.join("checkpoint-5");
+        let mut folder = RunFolder::open(&path).unwrap();
+        let mut loaded = read_newest(&mut folder).unwrap();
+        let mut read = || {
+            let mut last = None;
+            let result: Result<(), FolderError> = loaded.arrays.read(&mut |_, piece| {
+                last = piece.last().copied();
+                Ok(())
+            });
+            result.map(|()| last)
+        };
+        // One that is as good, but another.
+        let good = fs::read(&name).unwrap();
+        fs::write(&name, fs::read(path.join("checkpoint-4")).unwrap()).unwrap();
+        let error = read().unwrap_err();
+        assert!(matches!(error, FolderError::Changed { .. }));
+        assert!(error.to_string().contains(&name.display().to_string()), "{error}");
+        fs::write(&name, &good[..good.len() - 1]).unwrap();
+        let error = read().unwrap_err();
+        assert!(error.to_string().contains("cut short"), "{error}");
+        fs::write(&name, &good).unwrap();
+        assert_eq!(read().unwrap(), Some(5.0));
+        // Another under its name is not the one that was looked at.
+        #[cfg(unix)]
+        {
+            fs::rename(path.join("checkpoint-4"), &name).unwrap();
+            assert_eq!(read().unwrap(), Some(5.0));
+        }
+        let result = loaded.arrays.read(&mut |_, _| Err(FolderError::NoName));
+        assert!(matches!(result, Err(FolderError::NoName)));
     }
 
     #[test]
@@ -830,13 +953,13 @@ mod tests {
         left(&path, &[]);
         let mut folder = RunFolder::open(&path).unwrap();
         symlink(at("real"), path.join("checkpoint-1")).unwrap();
-        assert!(matches!(folder.newest::<String>(), Err(FolderError::NotFile { .. })));
+        assert!(matches!(read_newest(&mut folder), Err(FolderError::NotFile { .. })));
         symlink(at("real"), path.join("checkpoint-2.partial")).unwrap();
         save(&mut folder, 2).unwrap();
         assert!(fs::symlink_metadata(path.join("checkpoint-2")).unwrap().is_file());
         let mut real = File::open(at("real")).unwrap();
         let len = real.metadata().unwrap().len();
-        let (untouched, _) = checkpoint::read::<String>(&mut real, len).unwrap();
+        let (untouched, _) = checkpoint::read_head::<String>(&mut real, len).unwrap();
         assert_eq!(untouched, "1");
     }
 
@@ -943,7 +1066,7 @@ mod tests {
             let good: Vec<u64> =
                 files.iter().filter(|(_, (damaged, _))| !damaged).map(|(n, _)| *n).collect();
             let mut folder = RunFolder::open(&path).unwrap();
-            match (good.last(), folder.newest::<String>()) {
+            match (good.last(), read_newest(&mut folder)) {
                 (Some(expected), Ok(loaded)) => {
                     prop_assert_eq!(loaded.number, *expected);
                     let newer = numbers.iter().filter(|number| *number > expected).count();

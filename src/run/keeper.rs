@@ -51,6 +51,8 @@ impl FromStr for Every {
 
 /// Arrays of a checkpoint: samples and two moments.
 const ARRAYS: usize = 3;
+/// The array of samples.
+const SAMPLES: usize = 0;
 
 /// How many numbers the arrays of a program's checkpoints have.
 fn lengths(program: &Program) -> [u64; ARRAYS] {
@@ -149,20 +151,26 @@ impl Keeper {
         Ok(keeper)
     }
 
-    /// Reads the newest checkpoint of a folder that can be used, for a team to go on from.
+    /// Looks at the newest checkpoint of a folder that can be used, for a team to go on from. Its
+    /// arrays are checked, but read only when the run begins.
     ///
     /// # Errors
-    /// A folder that cannot be used, and a run of another version.
+    /// A folder that cannot be used, a run of another version, and what no run can go on from.
     pub fn resume(path: &Path, every: Every, team: Team) -> Result<(Self, Resumed), ResumeError> {
         let mut folder = RunFolder::open(path)?;
-        let Loaded { head, arrays, damaged, .. } = folder.newest::<Head>()?;
+        let mut stray = None;
+        let loaded = folder.newest::<Head>(&mut |number, array, piece| {
+            if array == SAMPLES && !piece.iter().all(|x| (0.0..1.0).contains(x)) {
+                stray = Some(number);
+            }
+        })?;
+        let Loaded { number, head, arrays, damaged } = loaded;
         let Head { version, program, record, invocation } = head;
         if version != env!("CARGO_PKG_VERSION") {
             return Err(ResumeError::Version { path: path.to_owned(), found: version });
         }
         let content =
             |rule: &str| ResumeError::Content { path: path.to_owned(), rule: rule.to_owned() };
-        let coordinates = program.options.shape.coordinates();
         let from = program.from;
         let most = match from.phase {
             Phase::Descent => program.options.steps,
@@ -172,23 +180,22 @@ impl Keeper {
         if from.step > most {
             return Err(content("it has more steps than the run"));
         }
-        let Ok([samples, first, second]) = <[Vec<f32>; 3]>::try_from(arrays) else {
+        if arrays.lengths().len() != ARRAYS {
             return Err(content("it does not hold samples and two moments"));
-        };
-        if [&samples, &first, &second].iter().any(|array| array.len() != coordinates) {
+        }
+        if arrays.lengths() != lengths(&program) {
             return Err(content("it holds another number of coordinates than its tile has"));
         }
-        if !samples.iter().all(|x| (0.0..1.0).contains(x)) {
+        if stray == Some(number) {
             return Err(content("it holds samples outside [0, 1)"));
         }
         let program =
             Program { team, ..program }.checked().map_err(|error| content(&error.to_string()))?;
         let done = program.steps_done(from);
-        let moments = (from.step > 0).then_some([first, second]);
         let damaged = damaged.iter().map(|(path, error)| format!("{}: {error}", path.display()));
         let resumed = Resumed {
             program,
-            begin: Begin { samples, moments, record },
+            begin: Begin::kept(arrays, record),
             invocation: invocation.clone(),
             damaged: damaged.collect(),
         };
@@ -270,7 +277,153 @@ impl Keeper {
 
 #[cfg(test)]
 mod tests {
+    use std::io;
+
+    use proptest::prelude::*;
+
     use super::*;
+    use crate::solver::{Options, Preset, StoragePlan};
+    use crate::tile::{Partition, Reach, TileShape};
+
+    /// A state that has these arrays and hands them over in pieces of this size.
+    struct Pieces {
+        arrays: Vec<Vec<f32>>,
+        size: usize,
+    }
+
+    impl Snapshot for Pieces {
+        fn array(&self, index: usize, put: &mut Put<'_>) -> io::Result<()> {
+            self.arrays[index].chunks(self.size).try_for_each(put)
+        }
+    }
+
+    /// A program of few numbers, at a step of its descent.
+    fn program(step: u32) -> Program {
+        let shape = TileShape::new(5, 4, 3, 1, 2).unwrap();
+        let kernel = "gaussian(1) @ 3x3x1".parse().unwrap();
+        let options = Options { shape, kernel, ..Preset::Quick.options() };
+        let program = Program::new(&options, Team::alone()).unwrap();
+        Program { from: Position { phase: Phase::Descent, step }, ..program }
+    }
+
+    /// Its arrays, all numbers different, and a record.
+    fn state(program: &Program, size: usize) -> (Pieces, std::sync::Arc<Record>) {
+        let count = program.options.shape.coordinates();
+        let array = |k: usize| (0..count).map(move |i| (i * 3 + k) as f32 / (3 * count) as f32);
+        let arrays = (0..3).map(|k| array(k).collect()).collect();
+        let partition = Partition::new(program.options.shape, Reach::default(), 1);
+        let (_, storage) = StoragePlan::new(&partition, Team::alone()).private().unwrap();
+        (Pieces { arrays, size }, storage.record)
+    }
+
+    fn save(path: &Path, program: &Program, state: &Pieces, record: &Record) {
+        let mut keeper =
+            Keeper::new(path, Every::Steps(1), Existing::Replace, "how".into()).unwrap();
+        keeper.save(program, program.from, record, state).unwrap();
+    }
+
+    fn resume(path: &Path) -> Result<Resumed, ResumeError> {
+        Keeper::resume(path, Every::Steps(1), Team::alone()).map(|(_, resumed)| resumed)
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(20))]
+
+        #[test]
+        fn a_run_goes_on_from_the_arrays_that_were_kept(size in 1_usize..200, step in 0_u32..3) {
+            let around = tempfile::tempdir().unwrap();
+            let path = around.path().join("run");
+            let program = program(step);
+            let (state, record) = state(&program, size);
+            save(&path, &program, &state, &record);
+            let mut resumed = resume(&path).unwrap();
+            prop_assert_eq!(&resumed.program, &program);
+            prop_assert_eq!(resumed.invocation, "how");
+            prop_assert_eq!(resumed.begin.record(), record.to_values());
+            let mut arrays = vec![Vec::new(); 3];
+            let read: Result<(), FolderError> =
+                resumed.begin.read(&program, &mut |array, piece| {
+                    arrays[array].extend(piece);
+                    Ok(())
+                });
+            read.unwrap();
+            // A phase that starts has no moments.
+            let kept = if step > 0 { 3 } else { 1 };
+            prop_assert_eq!(&arrays[..kept], &state.arrays[..kept]);
+            prop_assert!(arrays[kept..].iter().all(Vec::is_empty));
+
+            let (world, mut storage) = program.storage().private().unwrap();
+            resumed.begin.put(&program, &world, &mut storage).unwrap();
+            let tile = storage.tile_mut(program.options.shape);
+            prop_assert_eq!(&*tile, state.arrays[0].as_slice());
+            let count = arrays[0].len();
+            for (section, moments) in [(&storage.first, &arrays[1]), (&storage.second, &arrays[2])] {
+                let expected = if step > 0 { moments.clone() } else { vec![0.0; count] };
+                prop_assert_eq!(&section.slice::<f32>()[..count], expected);
+            }
+        }
+    }
+
+    #[test]
+    fn what_no_run_can_go_on_from_is_named() {
+        let around = tempfile::tempdir().unwrap();
+        let path = around.path().join("run");
+        let program = program(2);
+        for (bad, stray) in [(1.0, true), (-0.5, true), (f32::NAN, true), (0.999, false)] {
+            let (mut state, record) = state(&program, 7);
+            state.arrays[0][33] = bad;
+            // Moments may be anything.
+            state.arrays[1][33] = -7.0;
+            save(&path, &program, &state, &record);
+            match resume(&path) {
+                Err(error) => {
+                    assert!(stray && error.to_string().contains("outside [0, 1)"), "{error}")
+                }
+                Ok(_) => assert!(!stray),
+            }
+        }
+        let kept = |lengths: &[u64]| {
+            let mut folder = RunFolder::create(&path, Existing::Replace).unwrap();
+            let head = Head {
+                version: env!("CARGO_PKG_VERSION").into(),
+                program: program.clone(),
+                record: Vec::new(),
+                invocation: String::new(),
+            };
+            let array = &mut |i: usize, put: &mut Put<'_>| put(&vec![0.5; lengths[i] as usize]);
+            folder.save(1, &head, lengths, array).unwrap();
+            drop(folder);
+            resume(&path).map(|_| ()).map_err(|error| error.to_string())
+        };
+        let count = program.options.shape.coordinates() as u64;
+        assert_eq!(kept(&[count; 3]), Ok(()));
+        for (lengths, part) in [
+            (&[count; 2][..], "samples and two moments"),
+            (&[count; 4], "samples and two moments"),
+            (&[count, count, count - 1], "another number of coordinates"),
+            (&[count + 1, count, count], "another number of coordinates"),
+        ] {
+            let error = kept(lengths).unwrap_err();
+            assert!(error.contains(part), "{error}");
+        }
+    }
+
+    #[test]
+    fn samples_of_a_damaged_checkpoint_say_nothing_of_the_one_that_is_used() {
+        let around = tempfile::tempdir().unwrap();
+        let path = around.path().join("run");
+        let (state, record) = state(&program(1), 7);
+        save(&path, &program(1), &state, &record);
+        // The newer one has samples that are none, but is damaged as well.
+        let good = path.join("checkpoint-2");
+        let mut bytes = std::fs::read(&good).unwrap();
+        let samples = bytes.len() - 32 - 3 * 4 * state.arrays[0].len();
+        bytes[samples..samples + 4].copy_from_slice(&7.0_f32.to_le_bytes());
+        std::fs::write(path.join("checkpoint-3"), bytes).unwrap();
+        let resumed = resume(&path).unwrap();
+        assert_eq!(resumed.program, program(1));
+        assert!(resumed.damaged.len() == 1 && resumed.damaged[0].contains("checkpoint-3"));
+    }
 
     #[test]
     fn intervals_are_times_or_steps() {

@@ -36,7 +36,7 @@ pub fn optimize(
 /// them.
 ///
 /// # Errors
-/// If there is too little memory.
+/// If there is too little memory, or a checkpoint cannot be read again.
 pub fn carry_out(
     program: &Program,
     begin: Begin,
@@ -46,7 +46,7 @@ pub fn carry_out(
 ) -> Result<(Tile, Summary), ProgramError> {
     let mut clock = Clock::new();
     let (world, mut storage) = program.storage().private()?;
-    begin.put(program, &world, &mut storage);
+    begin.put(program, &world, &mut storage)?;
     let record = storage.record.clone();
     observer.progress(Progress {
         phase: Phase::Start,

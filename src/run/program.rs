@@ -16,6 +16,7 @@ use crate::gradient::probe::Unprobed;
 use crate::gradient::simd::Simd;
 use crate::gradient::{Gradient, Quantum};
 use crate::kernel::Kernel;
+use crate::run::folder::FolderError;
 use crate::solver::polish::{self, Polish};
 use crate::solver::{
     Descent, Options, OptionsError, Phase, Snapshot, StopReason, Storage, StoragePlan, Team,
@@ -59,6 +60,9 @@ pub enum ProgramError {
     /// There is no memory for it.
     #[error(transparent)]
     Memory(#[from] MapError),
+    /// What it was to begin with cannot be read.
+    #[error(transparent)]
+    Begin(#[from] FolderError),
     /// Whoever watched gave it up.
     #[error(transparent)]
     Abandoned(#[from] Abandoned),
