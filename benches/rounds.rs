@@ -11,6 +11,7 @@ use perceptile::gradient::probe::Unprobed;
 use perceptile::gradient::simd::Simd;
 use perceptile::metric::Baseline;
 use perceptile::solver::{Descent, Samples, StoragePlan, Team};
+use perceptile::tile::Regions;
 use perceptile_cluster::shared::{Arena, Board, BoardPlan, Header, Map};
 use perceptile_cluster::{Ends, World};
 
@@ -34,7 +35,7 @@ fn rounds(criterion: &mut Criterion) {
         let done = AtomicU64::new(0);
         let step = |world: &World, step: u64| {
             for (half, jobs) in JOBS.into_iter().enumerate() {
-                world.round(2 * step + half as u64 + 1, Ends::Step, jobs, (), |_, ()| {
+                world.round(2 * step + half as u64 + 1, Ends::Step, 0..jobs, (), |_, ()| {
                     done.fetch_add(1, Ordering::Relaxed);
                 });
             }
@@ -75,14 +76,17 @@ fn journal(criterion: &mut Criterion) {
     let gradient = gradient(shape, &paper_taps(shape), paper_options(PAPER_DRAWS));
     let start = Samples::from_tile(&Baseline::White.tile(shape, 1));
     let one = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a thread");
+    let regions = Regions::whole(shape);
     let mut descents = [false, true].map(|can_fail| {
-        let team = Team { ranks: 1, threads: 1, can_fail };
+        let team = Team { ranks: 1, threads: 1, regions: 1, can_fail };
         let (world, mut storage) =
-            StoragePlan::new(gradient.partition(), team).private().expect("memory");
+            StoragePlan::new(gradient.partition(), regions.own(), team).private().expect("memory");
         storage.tile_mut(shape).copy_from_slice(&start.words);
         let how = (Simd::detect(), 0);
         one.install(|| {
-            Descent::enter(world, storage, gradient.clone(), ADAM, 10_000, how, || Unprobed)
+            Descent::enter(world, storage, (gradient.clone(), &regions), ADAM, 10_000, how, || {
+                Unprobed
+            })
         })
     });
     let mut step = 0;

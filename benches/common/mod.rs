@@ -18,7 +18,7 @@ use perceptile::gradient::{Gradient, Objective, Patch, Quantum, Workspace};
 use perceptile::kernel::{KernelSpec, KernelTaps};
 use perceptile::solver::BLOCKS_PER_THREAD;
 use perceptile::solver::adam::AdamOptions;
-use perceptile::tile::{Block, Overlap, Partition, SLACK, Tile, TileShape};
+use perceptile::tile::{Block, Overlap, Partition, Region, SLACK, Tile, TileShape};
 
 /// The kernel of the paper without temporal antialiasing.
 pub const PAPER_KERNEL: &str = "gaussian(2.1) * fovvideovdp(60) @ 7x7x8";
@@ -50,7 +50,7 @@ pub fn paper_options(draws: usize) -> DrawOptions {
 /// The gradient of a kernel.
 pub fn gradient(shape: TileShape, taps: &KernelTaps, options: DrawOptions) -> Gradient {
     let draws = Draws::new(options, 1, LevelSets::new([(1.0, taps)]), shape.dims());
-    let partition = Partition::new(shape, draws.levels().reach(), 1);
+    let partition = Partition::new(shape, draws.levels().reach());
     let quantum = Quantum::new(&draws, &partition).expect("a unit");
     Gradient::new(draws, partition, quantum, Simd::detect())
 }
@@ -77,7 +77,7 @@ impl Pulls {
             rows.close_row(row);
         }
         rows.close_lines(&mut samples);
-        let blocks = gradient.partition().blocks(BLOCKS_PER_THREAD);
+        let blocks = gradient.partition().blocks(gradient.rows().region(), BLOCKS_PER_THREAD);
         let patches = blocks.iter().map(|block| vec![0; block.words() + SLACK]).collect();
         Self { gradient, blocks, samples, patches, workspace: Workspace::default() }
     }
@@ -100,12 +100,12 @@ impl Pulls {
     fn sums(&self) -> Vec<f64> {
         let shape = self.gradient.partition().shape();
         let (pixel, unit) = (shape.spp() * shape.dims(), f64::from(self.gradient.quantum().unit()));
-        let overlap = Overlap::new(shape, &self.blocks);
+        let overlap = Overlap::new(Region::whole(shape), self.blocks.iter().map(Block::window));
         let mut sums = vec![0.0; shape.coordinates()];
         for (y, t) in (0..shape.height()).flat_map(|y| (0..shape.frames()).map(move |t| (y, t))) {
             let row = shape.pixel(0, y, t) * pixel;
             for &(block, line) in overlap.line(y) {
-                let from = line + t * self.blocks[block].stride();
+                let from = line + t * overlap.stride(block);
                 for segment in overlap.segments(block) {
                     let pulls = &self.patches[block][from + segment.from..][..segment.len];
                     let sums = &mut sums[row + segment.to..][..segment.len];

@@ -5,12 +5,15 @@
 //! others'. A rank that comes late to a round that is over goes on to the next, so one that is
 //! started in the middle of a run catches up by itself.
 
+use std::ops::Range;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Instant;
 
 use rayon::prelude::*;
 
 use crate::faults::{Faults, Place};
+use crate::peers::{Alone, Peers};
 use crate::shared::{Board, Claim, Counter, Job, Shards};
 
 /// The ranks of a run, seen from one of them.
@@ -20,6 +23,7 @@ pub struct World {
     rank: usize,
     spins: u32,
     faults: Option<Faults>,
+    peers: Arc<dyn Peers>,
 }
 
 /// What follows a round.
@@ -46,7 +50,17 @@ impl World {
         // More threads than cores must not spin: the one they wait for may need the core.
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
         let spins = if plan.ranks * plan.threads > cores { 0 } else { SPINS };
-        Self { board, rank, spins, faults }
+        Self { board, rank, spins, faults, peers: Arc::new(Alone) }
+    }
+
+    /// The same, with other worlds beside it that share no memory with it.
+    pub fn with_peers(self, peers: Arc<dyn Peers>) -> Self {
+        Self { peers, ..self }
+    }
+
+    /// The worlds that share no memory with this one, which is one of them.
+    pub fn peers(&self) -> &Arc<dyn Peers> {
+        &self.peers
     }
 
     /// This rank's number, from 0.
@@ -76,6 +90,14 @@ impl World {
         }
     }
 
+    /// Does what waits for others.
+    pub fn waiting<T>(&self, wait: impl FnOnce() -> T) -> T {
+        let begin = Instant::now();
+        let result = wait();
+        self.count(Counter::Waiting, begin.elapsed().as_nanos() as u64);
+        result
+    }
+
     /// Gives a sign of life.
     pub fn beat(&self) {
         self.count(Counter::Beats, 1);
@@ -93,8 +115,8 @@ impl World {
         self.board.counter(self.rank, counter).fetch_add(by, Ordering::Relaxed);
     }
 
-    /// Does `jobs` jobs together with all ranks, and returns when all are done; at once, if they
-    /// were before.
+    /// Does the jobs of these numbers together with all ranks, and returns when all are done; at
+    /// once, if they were before.
     ///
     /// `work` is called once for each job that this rank does, with its parts of the shards, by as
     /// many threads at a time as a rank has (those of the current rayon pool, as far as there are
@@ -105,19 +127,20 @@ impl World {
     ///
     /// # Panics
     /// If there are more jobs than the board has room for, or fewer parts than jobs.
-    pub fn round<S, W>(&self, round: u64, ends: Ends, jobs: usize, shards: S, work: W)
+    pub fn round<S, W>(&self, round: u64, ends: Ends, jobs: Range<usize>, shards: S, work: W)
     where
         S: Shards,
         W: Fn(&Job<'_>, S::Part) + Sync,
     {
-        assert!(jobs <= self.board.plan().jobs, "{jobs} jobs on a board");
+        assert!(jobs.end <= self.board.plan().jobs, "jobs {jobs:?} on a board");
         if self.board.completed() >= round {
             return;
         }
         self.board.wait_for_release(round, || self.fault(Place::Hold));
-        let own = self.own(jobs, self.rank);
+        let own = self.own(&jobs, self.rank);
         let cursor = AtomicUsize::new(own.start);
-        let shift = Shift { world: self, round, ends, jobs, shards: &shards, work: &work };
+        let shift =
+            Shift { world: self, round, ends, jobs: jobs.clone(), shards: &shards, work: &work };
         loop {
             let event = self.board.event();
             match self.threads() {
@@ -130,20 +153,19 @@ impl World {
             if self.board.completed() >= round {
                 return;
             }
-            if self.board.all_done(round, jobs) {
+            if self.board.all_done(round, jobs.clone()) {
                 self.fault(Place::Commit);
                 self.board.complete(round);
                 return;
             }
-            let begin = Instant::now();
-            self.board.wait(event, self.spins);
-            self.count(Counter::Waiting, begin.elapsed().as_nanos() as u64);
+            self.waiting(|| self.board.wait(event, self.spins));
         }
     }
 
     /// The jobs that are a rank's by place.
-    fn own(&self, jobs: usize, rank: usize) -> std::ops::Range<usize> {
-        jobs * rank / self.size()..jobs * (rank + 1) / self.size()
+    fn own(&self, jobs: &Range<usize>, rank: usize) -> Range<usize> {
+        let share = |rank: usize| jobs.start + jobs.len() * rank / self.size();
+        share(rank)..share(rank + 1)
     }
 }
 
@@ -152,7 +174,7 @@ struct Shift<'a, S, W> {
     world: &'a World,
     round: u64,
     ends: Ends,
-    jobs: usize,
+    jobs: Range<usize>,
     shards: &'a S,
     work: &'a W,
 }
@@ -174,7 +196,7 @@ where
         }
         let size = self.world.size();
         for other in (0..size).map(|next| (self.world.rank + next) % size) {
-            for job in self.world.own(self.jobs, other).rev() {
+            for job in self.world.own(&self.jobs, other).rev() {
                 if self.attempt(job, thread) && other != self.world.rank {
                     self.world.count(Counter::Taken, 1);
                 }
@@ -191,7 +213,7 @@ where
         };
         let begin = Instant::now();
         (self.work)(&job, self.shards.part(token));
-        if job.index() == 0 && self.ends == Ends::Step {
+        if job.index() == self.jobs.start && self.ends == Ends::Step {
             world.board.decide(round);
         }
         world.fault(Place::Commit);
@@ -238,7 +260,7 @@ mod tests {
                     for round in 1..=ROUNDS {
                         let (from, to) =
                             if round % 2 == 1 { (&even, &mut odd) } else { (&odd, &mut even) };
-                        world.round(round, Ends::Step, JOBS, (to,), |job, (mut part,)| {
+                        world.round(round, Ends::Step, 0..JOBS, (to,), |job, (mut part,)| {
                             let i = job.index();
                             let before = from.whole()[i * 3] + from.whole()[(i + 1) % JOBS * 3 + 2];
                             part.piece(0)[0] = before + 1;
@@ -280,7 +302,7 @@ mod tests {
         let done = AtomicUsize::new(0);
         std::thread::scope(|scope| {
             let waits = scope.spawn(|| {
-                alive.round(1, Ends::Step, 4, (), |_, ()| {
+                alive.round(1, Ends::Step, 0..4, (), |_, ()| {
                     done.fetch_add(1, Ordering::Relaxed);
                 });
             });

@@ -77,7 +77,7 @@ impl ExecutionArgs {
     /// If that would be too many.
     pub fn team(&self) -> Result<Team, Misuse> {
         let threads = self.threads()?;
-        Ok(Team { ranks: self.workers.max(1), threads, can_fail: self.workers > 0 })
+        Ok(Team { ranks: self.workers.max(1), threads, regions: 1, can_fail: self.workers > 0 })
     }
 
     /// The instruction set on this machine.

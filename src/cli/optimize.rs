@@ -12,6 +12,7 @@ use perceptile::run::keeper::Keeper;
 use perceptile::run::memory;
 use perceptile::run::outputs::Outputs;
 use perceptile::run::program::Program;
+use perceptile::tile::Region;
 
 use super::carry::{CarryArgs, Invocation, Ready};
 use super::execution::ExecutionArgs;
@@ -109,7 +110,10 @@ fn plan(program: &Program) -> String {
     ));
     line(format!("memory      {} MB", memory::foreseen(program) >> 20));
     if program.team.can_fail {
-        line(format!("  shared    {} MB", program.storage().bytes() >> 20));
+        line(format!(
+            "  shared    {} MB",
+            program.storage(Region::whole(options.shape)).bytes() >> 20
+        ));
     }
     line(format!("tile file   {:.1} MB", (options.shape.coordinates() * 4) as f64 / 1e6));
     text

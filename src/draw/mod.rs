@@ -219,7 +219,7 @@ mod tests {
 
     fn partition(width: usize, height: usize, frames: usize) -> Partition {
         let shape = TileShape::new(width, height, frames, 1, 2).unwrap();
-        Partition::new(shape, Default::default(), 1)
+        Partition::new(shape, Default::default())
     }
 
     proptest! {

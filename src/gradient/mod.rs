@@ -27,7 +27,7 @@ pub use runs::{Run, RunTables};
 pub use target::Targets;
 
 use crate::draw::{CellDraws, Direction, Draw, Draws};
-use crate::tile::{Block, Cell, Layout, Partition, Placement, Rows, SLACK};
+use crate::tile::{Block, Cell, Layout, Partition, Placement, Region, Rows, SLACK};
 use memory::{CHUNK, Memory, Order, Place, Spot};
 use probe::{Probe, Stage};
 use rank::Keys;
@@ -185,10 +185,11 @@ pub struct Gradient {
 }
 
 impl Gradient {
-    /// Prepares the tables for `draws` on the cells of `partition`.
+    /// Prepares the tables for `draws` on the cells of `partition`, with all of the tile's samples
+    /// at hand.
     pub fn new(draws: Draws, partition: Partition, quantum: Quantum, simd: Simd) -> Self {
         let targets = Targets::new(draws.directions());
-        let rows = Rows::new(partition.shape(), partition.reach());
+        let rows = Rows::new(Region::whole(partition.shape()), partition.reach());
         let runs = RunTables::new(draws.levels(), partition.shape().frames());
         Self { draws, partition, rows, targets, quantum, simd, runs, layout: Layout::Rows }
     }
@@ -197,6 +198,12 @@ impl Gradient {
     /// compare them. [`Layout::Rows`] takes no copy.
     pub fn with_layout(self, layout: Layout) -> Self {
         Self { layout, ..self }
+    }
+
+    /// The same gradient, with only the samples of a region and around it at hand, for blocks
+    /// within.
+    pub fn within(self, region: Region) -> Self {
+        Self { rows: Rows::new(region, self.partition.reach()), ..self }
     }
 
     /// The cells that gradients are computed for.
@@ -226,7 +233,7 @@ impl Gradient {
 
     /// Makes the draws of a block's cells in `step` and writes their gradient to `patch`.
     ///
-    /// `samples` are the tile's, in [`Self::rows`] and with [`SLACK`] behind them.
+    /// `samples` lie in [`Self::rows`], with [`SLACK`] behind them.
     ///
     /// # Panics
     /// If `samples` or `patch` is not as long as that.
@@ -239,7 +246,7 @@ impl Gradient {
         workspace: &mut Workspace,
         probe: &mut P,
     ) -> Objective {
-        assert_eq!(samples.len(), self.rows.words() + SLACK, "samples of a tile");
+        assert_eq!(samples.len(), self.rows.words() + SLACK, "samples of a region");
         assert_eq!(patch.words.len(), block.words() + SLACK, "patch of a block");
         patch.words.fill(0);
         probe.lap(Stage::Scatter);
@@ -300,7 +307,8 @@ fn run<I: Isa, P: Probe>(job: Job<'_, P>, isa: I) -> Objective {
     let corner = block.place();
     let start = (place.y - corner.y) * block.line() + (place.x - corner.x) * rows.pixel();
     let (pixel, stride, patch_stride) = (rows.pixel(), rows.stride(), block.stride());
-    let samples = &samples[place.y * rows.line() + place.x * pixel..];
+    let region = rows.region().place();
+    let samples = &samples[(place.y - region.y) * rows.line() + (place.x - region.x) * pixel..];
     let patch = &mut patch.words[start..];
     if gradient.layout == Layout::Rows {
         let order = Order::Rows { samples: stride, patch: patch_stride, frames };

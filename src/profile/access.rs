@@ -11,7 +11,7 @@ use super::cache::{CacheError, CacheLevel, Counts, Footprint, Hierarchy, Reuse, 
 use super::subject::{Subject, WORD};
 use crate::draw::{Draw, Stream, Use};
 use crate::gradient::Run;
-use crate::tile::{Layout, Overlap, Placement, SLACK};
+use crate::tile::{Block, Layout, Overlap, Placement, Region, SLACK};
 
 /// How samples and gradient lie in memory.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize)]
@@ -232,7 +232,10 @@ impl<'a> Streams<'a> {
         for (index, block) in subject.blocks().iter().enumerate() {
             block.cells().iter().for_each(|&cell| blocks[cell] = index);
         }
-        let overlap = Overlap::new(subject.shape(), subject.blocks());
+        let overlap = Overlap::new(
+            Region::whole(subject.shape()),
+            subject.blocks().iter().map(Block::window),
+        );
         Self {
             subject,
             arrangement,
@@ -313,7 +316,7 @@ impl<'a> Streams<'a> {
                 offset
             } else {
                 for &(block, start) in self.overlap.line(y) {
-                    let start = start + t * self.subject.blocks()[block].stride();
+                    let start = start + t * self.overlap.stride(block);
                     for segment in self.overlap.segments(block) {
                         let word = (start + segment.from) as u64;
                         let bytes = segment.len as u64 * WORD;

@@ -18,8 +18,9 @@ use crate::run::begin::Begin;
 use crate::run::crew::{self, CrewError, CrewOptions, CrewSummary};
 use crate::run::observer::Unobserved;
 use crate::run::program::Program;
-use crate::solver::rounds::{self, Half};
+use crate::solver::rounds::{self, Part};
 use crate::solver::{BLOCKS_PER_THREAD, Descent, OptionsError, Phase, Storage};
+use crate::tile::Region;
 
 /// What worker processes make of a descent.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -181,13 +182,15 @@ pub fn take_part(
 
 /// Seconds of a step without work: as many rounds and jobs as a step has, and nothing to do.
 fn idle(program: &Program, world: &World, steps: u32) -> f64 {
-    let blocks = program.partition().block_count(program.team.all_threads() * BLOCKS_PER_THREAD);
+    let whole = Region::whole(program.options.shape);
+    let threads = program.team.all_threads();
+    let blocks = program.partition().block_count(whole, threads * BLOCKS_PER_THREAD);
     let lines = program.options.shape.height();
     let step = |step| {
-        for (half, ends, jobs) in
-            [(Half::Pull, Ends::Half, blocks), (Half::Update, Ends::Step, lines)]
+        for (part, ends, jobs) in
+            [(Part::Pull, Ends::Half, blocks), (Part::Update, Ends::Step, lines)]
         {
-            world.round(rounds::step(Phase::Descent, step, half), ends, jobs, (), |_, ()| ());
+            world.round(rounds::step(Phase::Descent, step, part), ends, 0..jobs, (), |_, ()| ());
         }
     };
     (0..steps).for_each(step);
@@ -204,12 +207,13 @@ fn trace(
     simd: Simd,
     most: usize,
 ) -> Result<Vec<Span>, OptionsError> {
-    let gradient = program.gradient(simd)?;
+    let (gradient, regions) = (program.gradient(simd)?, program.regions(0));
     let now = Arc::new(AtomicU32::new(0));
     let (zero, since) = (Instant::now(), SystemTime::now());
     let probe = || SpanProbe::new(zero, now.clone(), DETAILED, most);
     let (adam, steps) = (program.options.adam, program.options.steps);
-    let mut descent = Descent::enter(world, storage, gradient, adam, steps, (simd, 0), probe);
+    let mut descent =
+        Descent::enter(world, storage, (gradient, &regions), adam, steps, (simd, 0), probe);
     for step in 0..TRACED {
         now.store(step, Ordering::Relaxed);
         descent.step(step);

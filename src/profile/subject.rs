@@ -11,7 +11,7 @@ use crate::gradient::{Gradient, Quantum, RunTables};
 use crate::kernel::Kernel;
 use crate::run::program::levels;
 use crate::solver::{BLOCKS_PER_THREAD, Descent, Options, OptionsError, Samples, start};
-use crate::tile::{Block, Layout, Partition, Rows, TileShape};
+use crate::tile::{Block, Layout, Partition, Region, Rows, TileShape};
 
 /// Bytes of a word: samples, pulls and moments are all of this size.
 pub const WORD: u64 = size_of::<f32>() as u64;
@@ -60,15 +60,16 @@ impl Subject {
         options.validate()?;
         options.check_kernel(kernel)?;
         let levels = levels(kernel);
-        let partition = Partition::new(options.shape, levels.reach(), 1);
+        let partition = Partition::new(options.shape, levels.reach());
         let runs = RunTables::new(&levels, options.shape.frames());
         let draws = Draws::new(options.draw, options.seed, levels, options.shape.dims());
         let quantum = Quantum::new(&draws, &partition).ok_or(OptionsError::Batch {
             draws: options.draw.draws,
             directions: options.draw.directions,
         })?;
-        let rows = Rows::new(options.shape, partition.reach());
-        let blocks = partition.blocks(threads.saturating_mul(BLOCKS_PER_THREAD));
+        let rows = Rows::new(Region::whole(options.shape), partition.reach());
+        let blocks = partition
+            .blocks(Region::whole(options.shape), threads.saturating_mul(BLOCKS_PER_THREAD));
         Ok(Self {
             options: options.clone(),
             partition,
@@ -147,7 +148,7 @@ impl Subject {
 
     /// Samples to start from.
     pub fn start(&self) -> Samples {
-        start::random(&self.partition, self.options.seed)
+        start::random(&self.partition, Region::whole(self.options.shape), self.options.seed)
     }
 
     /// The descent itself, in a layout and with probes; to be called by a thread of the pool that

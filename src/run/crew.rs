@@ -30,7 +30,7 @@ use crate::run::phases::{Clock, progress, summary};
 use crate::run::program::{Abandoned, Position, Program, ProgramError, Watch};
 use crate::run::worker::{Errand, VERSION};
 use crate::solver::{Onlooker, Phase, Snapshot, StopReason, Storage, Summary, rounds, tile_of};
-use crate::tile::Tile;
+use crate::tile::{Region, Tile};
 
 /// How worker processes are used.
 #[derive(Debug, Clone, PartialEq)]
@@ -164,7 +164,7 @@ pub fn carry_out(
         Err(loss) => crew.give_up(&loss, storage, simd)?,
     };
     let tile = tile_of(&section.slice()[..shape.coordinates()], shape);
-    let summary = summary(program, &world, &record, reason, clock.seconds());
+    let summary = summary(program, &world, &record.read(), reason, clock.seconds());
     Ok((tile, summary, crew_summary(&world, replaced)))
 }
 
@@ -208,7 +208,7 @@ fn start(
     for (rank, place) in places.iter().flatten().enumerate() {
         tell(&format!("worker {rank} runs on {place}"));
     }
-    let plan = program.storage();
+    let plan = program.storage(Region::whole(program.options.shape));
     let header = Header { len: plan.bytes() as u64, run: RandomState::new().hash_one(1) };
     let file = region(header.len, &options.folder)?;
     for (rank, place) in places.iter().flatten().enumerate() {
@@ -218,7 +218,7 @@ fn start(
     }
     let map = Map::create(&file, header)?;
     let (world, mut storage) = plan.open(map, 0, None);
-    begin.put(program, &world, &mut storage).map_err(ProgramError::from)?;
+    begin.put(program, &world, &mut storage)?;
     let errand = Errand {
         program: program.clone(),
         other,
@@ -311,7 +311,7 @@ impl Crew<'_> {
         let from = self.program.from;
         let step = if phase == from.phase { step.max(from.step) } else { step };
         let at = self.at(Position { phase, step });
-        let mut told = progress(self.program, &storage.record, at);
+        let mut told = progress(self.program, &storage.record.read(), at);
         told.workers = Some((self.program.team.ranks, self.replaced as usize));
         self.observer.progress(told);
         if self.reason.is_none()
@@ -340,7 +340,7 @@ impl Crew<'_> {
             };
             let onlooker = Onlooker::new(storage, self.program.options.shape, reach, step);
             let at = Position { phase, step };
-            if let Err(error) = keeper.save(self.program, at, &storage.record, &onlooker) {
+            if let Err(error) = keeper.save(self.program, at, storage.record.read(), &onlooker) {
                 self.observer.tell(&format!("no checkpoint was written: {error}"));
             }
             // Workers that stop need not wait again.
@@ -421,12 +421,12 @@ impl Watch for Last<'_> {
         state: &dyn Snapshot,
     ) -> Result<(), Abandoned> {
         // Steps that are over pass by.
-        let next = rounds::step(at.phase, at.step, rounds::Half::Pull);
+        let next = rounds::step(at.phase, at.step, rounds::Part::Pull);
         if world.board().completed() >= next {
             return Ok(());
         }
         if let Some(keeper) = &mut self.keeper {
-            self.error = keeper.save(self.program, at, self.record, state).err();
+            self.error = keeper.save(self.program, at, self.record.read(), state).err();
         }
         Err(Abandoned)
     }

@@ -15,7 +15,7 @@ use crate::format::write::Existing;
 use crate::run::begin::Begin;
 use crate::run::folder::{FolderError, Loaded, RunFolder};
 use crate::run::program::{Position, Program};
-use crate::solver::{Phase, Record, Snapshot, Team};
+use crate::solver::{Phase, Recorded, Snapshot, Team};
 
 /// How often a checkpoint is written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -64,7 +64,7 @@ fn lengths(program: &Program) -> [u64; ARRAYS] {
 struct Head {
     version: String,
     program: Program,
-    record: Vec<f64>,
+    record: Recorded,
     invocation: String,
 }
 
@@ -230,6 +230,14 @@ impl Keeper {
         }
     }
 
+    /// Steps until a checkpoint is due after so many; none where that depends on time.
+    pub fn steps_until_due(&self, done: u32) -> Option<u32> {
+        match self.every {
+            Every::Time(_) => None,
+            Every::Steps(steps) => Some(self.tried_at.saturating_add(steps).saturating_sub(done)),
+        }
+    }
+
     /// Writes a checkpoint of where a run is, unless there is one.
     ///
     /// # Errors
@@ -239,7 +247,7 @@ impl Keeper {
         &mut self,
         program: &Program,
         at: Position,
-        record: &Record,
+        record: Recorded,
         state: &dyn Snapshot,
     ) -> Result<(), FolderError> {
         let done = program.steps_done(at);
@@ -250,7 +258,7 @@ impl Keeper {
         let head = Head {
             version: env!("CARGO_PKG_VERSION").into(),
             program: Program { from: at, ..program.clone() },
-            record: record.to_values(),
+            record,
             invocation: self.invocation.clone(),
         };
         let array = &mut |index: usize, put: &mut Put<'_>| state.array(index, put);
@@ -282,8 +290,8 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::solver::{Options, Preset, StoragePlan};
-    use crate::tile::{Partition, Reach, TileShape};
+    use crate::solver::{Options, Preset, Record, StoragePlan};
+    use crate::tile::{Partition, Reach, Region, TileShape};
 
     /// A state that has these arrays and hands them over in pieces of this size.
     struct Pieces {
@@ -311,15 +319,17 @@ mod tests {
         let count = program.options.shape.coordinates();
         let array = |k: usize| (0..count).map(move |i| (i * 3 + k) as f32 / (3 * count) as f32);
         let arrays = (0..3).map(|k| array(k).collect()).collect();
-        let partition = Partition::new(program.options.shape, Reach::default(), 1);
-        let (_, storage) = StoragePlan::new(&partition, Team::alone()).private().unwrap();
+        let shape = program.options.shape;
+        let partition = Partition::new(shape, Reach::default());
+        let plan = StoragePlan::new(&partition, Region::whole(shape), Team::alone());
+        let (_, storage) = plan.private().unwrap();
         (Pieces { arrays, size }, storage.record)
     }
 
     fn save(path: &Path, program: &Program, state: &Pieces, record: &Record) {
         let mut keeper =
             Keeper::new(path, Every::Steps(1), Existing::Replace, "how".into()).unwrap();
-        keeper.save(program, program.from, record, state).unwrap();
+        keeper.save(program, program.from, record.read(), state).unwrap();
     }
 
     fn resume(path: &Path) -> Result<Resumed, ResumeError> {
@@ -339,7 +349,7 @@ mod tests {
             let mut resumed = resume(&path).unwrap();
             prop_assert_eq!(&resumed.program, &program);
             prop_assert_eq!(resumed.invocation, "how");
-            prop_assert_eq!(resumed.begin.record(), record.to_values());
+            prop_assert_eq!(resumed.begin.record(), &record.read());
             let mut arrays = vec![Vec::new(); 3];
             let read: Result<(), FolderError> =
                 resumed.begin.read(&program, &mut |array, piece| {
@@ -352,7 +362,7 @@ mod tests {
             prop_assert_eq!(&arrays[..kept], &state.arrays[..kept]);
             prop_assert!(arrays[kept..].iter().all(Vec::is_empty));
 
-            let (world, mut storage) = program.storage().private().unwrap();
+            let (world, mut storage) = program.storage(Region::whole(program.options.shape)).private().unwrap();
             resumed.begin.put(&program, &world, &mut storage).unwrap();
             let tile = storage.tile_mut(program.options.shape);
             prop_assert_eq!(&*tile, state.arrays[0].as_slice());
@@ -387,7 +397,7 @@ mod tests {
             let head = Head {
                 version: env!("CARGO_PKG_VERSION").into(),
                 program: program.clone(),
-                record: Vec::new(),
+                record: Recorded::default(),
                 invocation: String::new(),
             };
             let array = &mut |i: usize, put: &mut Put<'_>| put(&vec![0.5; lengths[i] as usize]);

@@ -4,6 +4,7 @@ use thiserror::Error;
 
 use crate::draw::{Direction, Draw};
 use crate::run::program::Program;
+use crate::tile::Region;
 
 /// A run that does not fit into this machine's memory.
 #[derive(Debug, Error, Clone, Copy, PartialEq, Eq)]
@@ -15,7 +16,7 @@ pub struct MemoryError {
     pub free: u64,
 }
 
-/// Bytes that a run takes, from the sizes of what it keeps.
+/// Bytes that a process and its workers take for a run, from the sizes of what they keep.
 ///
 /// What its ranks share ([`Program::storage`]), the samples that it begins with, and in the end
 /// the tile. Threads keep the draws of one cell each, with their directions; all draws of a step
@@ -23,12 +24,17 @@ pub struct MemoryError {
 pub fn foreseen(program: &Program) -> u64 {
     const FIXED: u64 = 16 << 20;
     let options = &program.options;
+    let regions = program.regions(0);
+    let shared = |&region: &Region| program.storage(region).bytes() as u64;
+    let shared = regions.all().iter().map(shared).max().unwrap_or(0);
+    // One process alone holds its start and the tile once more; a cluster nowhere.
+    let copies = if program.team.regions > 1 { 0 } else { 2 };
     let tile = (options.shape.coordinates() * size_of::<f32>()) as u64;
     let directions = options.draw.directions.saturating_mul(size_of::<Direction>());
     let draws = options.draw.draws.saturating_mul(size_of::<Draw>().saturating_add(directions));
     let workers = if program.team.can_fail { program.team.ranks as u64 } else { 0 };
-    (program.storage().bytes() as u64)
-        .saturating_add(2 * tile)
+    shared
+        .saturating_add(copies * tile)
         .saturating_add(draws as u64)
         .saturating_add(FIXED * (1 + workers))
 }

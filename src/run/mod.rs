@@ -22,5 +22,6 @@ pub mod outputs;
 pub mod phases;
 pub mod program;
 pub mod signals;
+pub mod travel;
 #[cfg(unix)]
 pub mod worker;

@@ -9,8 +9,10 @@ use crate::run::begin::Begin;
 use crate::run::keeper::Keeper;
 use crate::run::observer::{Observer, Progress};
 use crate::run::program::{Abandoned, Position, Program, ProgramError, Watch};
-use crate::solver::{Options, Phase, Record, Snapshot, StopReason, Summary, Team, tile_of};
-use crate::tile::Tile;
+use crate::solver::{
+    Options, Phase, Record, Recorded, Snapshot, StopReason, Summary, Team, tile_of,
+};
+use crate::tile::{Region, Tile};
 
 /// Makes a tile.
 ///
@@ -45,7 +47,8 @@ pub fn carry_out(
     keeper: Option<&mut Keeper>,
 ) -> Result<(Tile, Summary), ProgramError> {
     let mut clock = Clock::new();
-    let (world, mut storage) = program.storage().private()?;
+    let region = Region::whole(program.options.shape);
+    let (world, mut storage) = program.storage(region).private()?;
     begin.put(program, &world, &mut storage)?;
     let record = storage.record.clone();
     observer.progress(Progress {
@@ -61,14 +64,14 @@ pub fn carry_out(
     let reason = watch.reason;
     let shape = program.options.shape;
     let tile = tile_of(&section.slice()[..shape.coordinates()], shape);
-    Ok((tile, summary(program, &world, &record, reason, clock.seconds())))
+    Ok((tile, summary(program, &world, &record.read(), reason, clock.seconds())))
 }
 
 /// What a run tells when all its rounds are over.
 pub(super) fn summary(
     program: &Program,
     world: &World,
-    record: &Record,
+    record: &Recorded,
     reason: Option<StopReason>,
     seconds: Vec<(Phase, f64)>,
 ) -> Summary {
@@ -99,7 +102,7 @@ impl Watch for Alone<'_> {
         state: &dyn Snapshot,
     ) -> Result<(), Abandoned> {
         if at.step > 0 {
-            self.observer.progress(progress(self.program, self.record, at));
+            self.observer.progress(progress(self.program, &self.record.read(), at));
         }
         let done = self.program.steps_done(at);
         if let Some(reason) = self.observer.stop() {
@@ -108,7 +111,7 @@ impl Watch for Alone<'_> {
         }
         if let Some(keeper) = &mut self.keeper
             && (self.reason.is_some() || keeper.is_due(done))
-            && let Err(error) = keeper.save(self.program, at, self.record, state)
+            && let Err(error) = keeper.save(self.program, at, self.record.read(), state)
         {
             self.observer.tell(&format!("no checkpoint was written: {error}"));
         }
@@ -117,7 +120,7 @@ impl Watch for Alone<'_> {
 }
 
 /// Where a run stands, for its observer.
-pub(super) fn progress(program: &Program, record: &Record, at: Position) -> Progress {
+pub(super) fn progress(program: &Program, record: &Recorded, at: Position) -> Progress {
     let Options { steps, polish, .. } = program.options;
     let of = if at.phase == Phase::Polish { polish.steps } else { steps };
     let descends = at.phase == Phase::Descent;

@@ -22,7 +22,7 @@ use crate::solver::{
     Descent, Options, OptionsError, Phase, Snapshot, StopReason, Storage, StoragePlan, Team,
     rounds, warp,
 };
-use crate::tile::{Partition, Reach};
+use crate::tile::{Partition, Reach, Region, Regions};
 
 /// What every rank of a run has to know.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -63,6 +63,9 @@ pub enum ProgramError {
     /// What it was to begin with cannot be read.
     #[error(transparent)]
     Begin(#[from] FolderError),
+    /// It went wrong on another rank, which says how.
+    #[error("another rank failed")]
+    Elsewhere,
     /// Whoever watched gave it up.
     #[error(transparent)]
     Abandoned(#[from] Abandoned),
@@ -110,6 +113,7 @@ impl Program {
         options.validate()?;
         options.check_kernel(kernel)?;
         kernel.check(options.shape)?;
+        self.partition().regions(self.team.regions, 0)?;
         Ok(self)
     }
 
@@ -124,7 +128,16 @@ impl Program {
 
     /// The cells that draws are made for.
     pub fn partition(&self) -> Partition {
-        Partition::new(self.options.shape, levels(&self.kernel).reach(), 1)
+        Partition::new(self.options.shape, levels(&self.kernel).reach())
+    }
+
+    /// The regions of its teams, as one of them sees them.
+    ///
+    /// # Panics
+    /// If there are not so many, or more than cells, which [`Self::checked`] finds.
+    pub fn regions(&self, rank: usize) -> Regions {
+        let regions = self.partition().regions(self.team.regions, rank);
+        regions.expect("a program that was checked")
     }
 
     /// How far samples see each other in the polish.
@@ -134,9 +147,9 @@ impl Program {
         polish::sight(&classes, self.options.shape.frames())
     }
 
-    /// The memory that its ranks share.
-    pub fn storage(&self) -> StoragePlan {
-        let plan = StoragePlan::new(&self.partition(), self.team);
+    /// The memory that the ranks of a team share, for its region.
+    pub fn storage(&self, region: Region) -> StoragePlan {
+        let plan = StoragePlan::new(&self.partition(), region, self.team);
         let polished = self.options.polish.steps > 0;
         if polished { plan.with_polish(levels(&self.kernel).reach().doubled()) } else { plan }
     }
@@ -160,7 +173,7 @@ impl Program {
     /// Whether a step is to be done, as far as a world knows.
     fn goes_on(&self, world: &World, at: Position) -> bool {
         let limit = self.options.stop_after.is_some_and(|limit| self.steps_done(at) >= limit);
-        let round = rounds::step(at.phase, at.step, rounds::Half::Pull);
+        let round = rounds::step(at.phase, at.step, rounds::Part::Early);
         !limit && world.board().stopped().is_none_or(|stopped| stopped > round)
     }
 
@@ -204,8 +217,8 @@ impl Program {
         Ok(Gradient::new(draws, self.partition(), quantum, simd))
     }
 
-    /// Carries the run out as a rank of a world, from the samples and moments that lie in the
-    /// storage. Returns the section in which the tile lies then, in line order.
+    /// Carries the run out as a rank of a world, from the samples and moments of its region that
+    /// lie in the storage. Returns the section in which the region lies then, in line order.
     ///
     /// # Errors
     /// If a step would be too coarse, or the run is given up.
@@ -216,7 +229,9 @@ impl Program {
         simd: Simd,
         watch: &mut dyn Watch,
     ) -> Result<Section, ProgramError> {
-        let Options { steps, adam, polish: polish_options, shape, warp, seed, .. } = self.options;
+        let Options { steps, adam, polish: polish_options, warp, seed, .. } = self.options;
+        let regions = self.regions(world.peers().rank());
+        let shape = regions.own().shape();
         let is_over = |phase| world.board().completed() >= rounds::leave(phase);
         let first = |phase| if self.from.phase == phase { self.from.step } else { 0 };
 
@@ -227,8 +242,9 @@ impl Program {
             let gradient = self.gradient(simd)?;
             let how = (simd, at.step);
             let world = Arc::clone(world);
+            let what = (gradient, &regions);
             let mut descent =
-                Descent::enter(world.clone(), storage, gradient, adam, steps, how, || Unprobed);
+                Descent::enter(world.clone(), storage, what, adam, steps, how, || Unprobed);
             loop {
                 watch.before_step(&world, at, &descent)?;
                 if at.step >= steps || !self.goes_on(&world, at) {
@@ -248,7 +264,7 @@ impl Program {
             let classes: Vec<_> = classes.iter().map(|class| (class.weight, &class.taps)).collect();
             let how = (simd, at.step);
             let mut polish =
-                Polish::enter(world.clone(), storage, shape, &classes, polish_options, how);
+                Polish::enter(world.clone(), storage, &regions, &classes, polish_options, how);
             loop {
                 watch.before_step(world, at, &polish)?;
                 if at.step >= polish_options.steps || !self.goes_on(world, at) {
@@ -262,7 +278,7 @@ impl Program {
         watch.phase(Phase::Warp);
         let storage = warp::warp(world, storage, shape, warp, seed, simd);
         // A round without jobs says that all is over, warped or not.
-        world.round(self.last_round(), Ends::Half, 0, (), |_, ()| ());
+        world.round(self.last_round(), Ends::Half, 0..0, (), |_, ()| ());
         Ok(storage.into_tile(warp.all_frames(shape.dims())))
     }
 }

@@ -14,6 +14,7 @@ use thiserror::Error;
 use crate::gradient::simd::Simd;
 use crate::run::program::{Abandoned, Position, Program, ProgramError, Watch};
 use crate::solver::{Phase, Snapshot, Storage};
+use crate::tile::Region;
 
 /// The name and version that coordinator and workers must share.
 pub(super) const VERSION: &str = concat!("perceptile ", env!("CARGO_PKG_VERSION"));
@@ -75,8 +76,9 @@ pub fn serve(other: Other<'_>) -> Result<(), WorkerError> {
         let threads = program.team.threads;
         let pool =
             ThreadPoolBuilder::new().num_threads(threads).build().map_err(WorkerError::Threads)?;
+        let region = Region::whole(program.options.shape);
         let map = Map::open(&attached.region, header)?;
-        let (world, storage) = program.storage().open(map, rank, faults.map(Faults::new));
+        let (world, storage) = program.storage(region).open(map, rank, faults.map(Faults::new));
         let simd = if plain { Simd::plain() } else { Simd::detect() };
         Ok((program, other, simd, pool, world, storage))
     };

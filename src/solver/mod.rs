@@ -7,6 +7,7 @@
 //! ([`Samples`]).
 
 pub mod adam;
+mod halo;
 mod options;
 pub mod polish;
 pub mod rounds;
@@ -18,10 +19,11 @@ mod storage;
 mod summary;
 pub mod warp;
 
+pub use halo::HaloTraffic;
 pub use options::{MAX_POLISH_TAPS, Options, OptionsError, Preset, Start};
 pub use samples::Samples;
 pub(crate) use samples::tile_of;
 pub use state::{Onlooker, Snapshot};
 pub use step::{BLOCKS_PER_THREAD, Descent};
-pub use storage::{Record, Storage, StoragePlan, Team};
+pub use storage::{Record, Recorded, Storage, StoragePlan, Team};
 pub use summary::{Phase, StopReason, Summary};

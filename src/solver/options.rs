@@ -8,7 +8,7 @@ use crate::kernel::{Kernel, KernelError, KernelSpec};
 use crate::solver::adam::AdamOptions;
 use crate::solver::polish::PolishOptions;
 use crate::solver::warp::WarpOptions;
-use crate::tile::TileShape;
+use crate::tile::{TileShape, TooManyRanks};
 
 /// What the optimization starts from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -89,6 +89,9 @@ pub enum OptionsError {
         /// The given tile's shape.
         found: TileShape,
     },
+    /// More ranks than the tile has cells.
+    #[error(transparent)]
+    Ranks(#[from] TooManyRanks),
     /// A start from a tile was asked for, and none was given; or the other way round.
     #[error("a start from a tile and a starting tile belong together")]
     StartMissing,

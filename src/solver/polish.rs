@@ -14,6 +14,7 @@
 //! execution can change it.
 
 use std::io;
+use std::ops::Range;
 use std::sync::Arc;
 
 use glam::IVec3;
@@ -25,11 +26,11 @@ use serde::{Deserialize, Serialize};
 use crate::gradient::simd::{Isa, Simd, Vectorized};
 use crate::kernel::KernelTaps;
 use crate::solver::adam::AdamOptions;
-use crate::solver::rounds::{self, Half};
+use crate::solver::rounds::{self, Part};
 use crate::solver::state::{Line, Snapshot, State, by_line};
 use crate::solver::storage::{Found, Record, Storage, StoragePlan, Team};
 use crate::solver::{Phase, Samples};
-use crate::tile::{Partition, Reach, Rows, TileShape};
+use crate::tile::{Cell, Partition, Reach, Regions, Rows, TileShape, Window};
 
 /// How the polish is done.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -101,6 +102,10 @@ pub struct Polish {
     density: Density,
     /// Downhill gradient in the order of the rows, without copies.
     pulls: Parts<f32>,
+    /// The lines that are worked on together, of which the first so many see nobody else's
+    /// samples.
+    bands: Vec<Range<usize>>,
+    inside: usize,
     found: Arc<Found>,
     makers: Arc<Words>,
     record: Arc<Record>,
@@ -131,35 +136,38 @@ impl Polish {
         simd: Simd,
         samples: &Samples,
     ) -> Result<Self, MapError> {
-        let plan = StoragePlan::new(&Partition::new(shape, Reach::default(), 1), Team::alone());
+        let regions = Regions::whole(shape);
+        let partition = Partition::new(shape, Reach::default());
+        let plan = StoragePlan::new(&partition, regions.own(), Team::alone());
         let (world, mut storage) = plan.with_polish(reach(&all)).private()?;
         storage.tile_mut(shape).copy_from_slice(&samples.words);
-        Ok(Self::on(world, storage, shape, all, options, (simd, 0)))
+        Ok(Self::on(world, storage, &regions, all, options, (simd, 0)))
     }
 
-    /// Prepares the descent from the samples that lie in the storage, by all ranks of a world; from
-    /// step `first_step` on. After step 0, it goes on with the moments that are there.
+    /// Prepares the descent from the samples of a region that lie in the storage, by all ranks of
+    /// a world and of its peers; from step `first_step` on. After step 0, it goes on with the
+    /// moments that are there.
     pub fn enter(
         world: Arc<World>,
         storage: Storage,
-        shape: TileShape,
+        regions: &Regions,
         classes: &[(f64, &KernelTaps)],
         options: PolishOptions,
         (simd, first_step): (Simd, u32),
     ) -> Self {
-        let all = offsets(classes, shape.frames());
-        Self::on(world, storage, shape, all, options, (simd, first_step))
+        let all = offsets(classes, regions.own().tile().frames());
+        Self::on(world, storage, regions, all, options, (simd, first_step))
     }
 
     fn on(
         world: Arc<World>,
         storage: Storage,
-        shape: TileShape,
+        regions: &Regions,
         all: Vec<(IVec3, f64)>,
         options: PolishOptions,
         (simd, first_step): (Simd, u32),
     ) -> Self {
-        let rows = Rows::new(shape, reach(&all));
+        let (shape, reach) = (regions.own().shape(), reach(&all));
         let total: f64 = all.iter().map(|(_, g)| g).sum();
         let own = all.iter().find(|(o, _)| *o == IVec3::ZERO).map_or(0.0, |(_, g)| *g);
         let pairs = all
@@ -169,10 +177,20 @@ impl Polish {
             .collect();
         let Storage { samples, first, second, work, counts, found, makers, record } = storage;
         let sections = [samples, first, second];
-        let line = rows.own() * shape.frames();
-        let state = State::enter(&world, Phase::Polish, rows, sections, work.slice(), first_step);
-        let band =
-            |y: usize| std::iter::once(y * line..(y + BAND).min(shape.height()) * line).collect();
+        let line = shape.coordinates() / shape.height();
+        let seen = (regions, reach);
+        let state = State::enter(&world, Phase::Polish, seen, sections, work.slice(), first_step);
+        let mut bands: Vec<Range<usize>> =
+            (0..shape.height()).step_by(BAND).map(|y| y..(y + BAND).min(shape.height())).collect();
+        // Those that see samples of others come last.
+        let place = regions.own().place();
+        let touches = |band: &Range<usize>| {
+            let lines = Cell { y: place.y + band.start, height: band.len(), ..place };
+            state.halo.touches(Window::of(lines, reach))
+        };
+        bands.sort_by_key(touches);
+        let inside = bands.iter().take_while(|band| !touches(band)).count();
+        let part = |band: &Range<usize>| std::iter::once(band.start * line..band.end * line);
         Self {
             world,
             options,
@@ -182,7 +200,9 @@ impl Polish {
             own: own as f32,
             total: (total * shape.spp() as f64) as f32,
             density: Density::new(),
-            pulls: work.parts((0..shape.height()).step_by(BAND).map(band).collect()),
+            pulls: work.parts(bands.iter().map(|band| part(band).collect()).collect()),
+            bands,
+            inside,
             found,
             makers,
             record,
@@ -212,14 +232,15 @@ impl Polish {
         let (rows, shards) = state.shards();
         let (frames, own, height) = (rows.shape().frames(), rows.own(), rows.shape().height());
         let pulls = pulls.whole();
-        let round = rounds::step(Phase::Polish, step, Half::Update);
-        world.round(round, Ends::Step, height, shards, |job, shards| {
+        let round = rounds::step(Phase::Polish, step, Part::Update);
+        world.round(round, Ends::Step, 0..height, shards, |job, shards| {
             let mut line = Line::new((rows, slots), shards, job.units_done());
             for t in job.units_done()..frames {
                 let row = job.index() * frames + t;
                 line.update((world, job), (t, turns), factors, &pulls[row * own..][..own], *simd);
             }
         });
+        state.send(world);
     }
 
     /// Goes on from other samples, with the moments as they are; for a polish of one rank.
@@ -233,18 +254,29 @@ impl Polish {
     }
 
     fn pull(&mut self, step: u32) {
+        let (inside, all) = (self.inside, self.bands.len());
+        if self.world.peers().size() > 1 {
+            self.pull_bands(step, Part::Early, 0..inside);
+            self.state.receive(&self.world);
+            self.pull_bands(step, Part::Pull, inside..all);
+        } else {
+            self.pull_bands(step, Part::Pull, 0..all);
+        }
+    }
+
+    fn pull_bands(&mut self, step: u32, part: Part, which: Range<usize>) {
         let Self { world, state, pairs, density, pulls, simd, own, total, options, .. } = self;
+        let bands = &self.bands;
         let rows = &state.rows;
         let samples = state.samples.whole();
         let shape = rows.shape();
         let PolishOptions { axis_weight, linear_weight, .. } = *options;
         let terms = Terms { axis: axis_weight as f32, linear: linear_weight as f32 };
-        let line = rows.own() * shape.frames();
-        let round = rounds::step(Phase::Polish, step, Half::Pull);
-        let bands = shape.height().div_ceil(BAND);
-        world.round(round, Ends::Half, bands, (pulls,), |job, (mut pulls,)| {
-            let (band, pulls) = (job.index(), pulls.piece(0));
-            let planes = Planes::new(rows, samples, band * BAND, pulls.len() / line);
+        let round = rounds::step(Phase::Polish, step, part);
+        world.round(round, Ends::Half, which, (pulls,), |job, (mut pulls,)| {
+            let (band, pulls) = (&bands[job.index()], pulls.piece(0));
+            state.halo.progress();
+            let planes = Planes::new(rows, samples, band.start, band.len());
             pulls.fill(0.0);
             for t in 0..shape.frames() {
                 // The rows of frame t: where each pair's other row starts.

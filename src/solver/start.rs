@@ -6,19 +6,19 @@ use rand::seq::SliceRandom;
 
 use crate::draw::{Stream, Use};
 use crate::solver::Samples;
-use crate::tile::{Partition, clamp_coordinate};
+use crate::tile::{Partition, Region, clamp_coordinate};
 
-/// Independent uniform samples.
-pub fn random(partition: &Partition, seed: u64) -> Samples {
-    each_cell(partition, seed, |stream, words, _| {
+/// Independent uniform samples of a region.
+pub fn random(partition: &Partition, region: Region, seed: u64) -> Samples {
+    each_cell((partition, region), seed, |stream, words, _| {
         words.iter_mut().for_each(|x| *x = clamp_coordinate(stream.unit() as f32));
     })
 }
 
-/// Every coordinate stratified over the samples of each cell: of n samples, the k-th in a random
+/// Samples of a region, every coordinate stratified over the samples of each cell: of n samples, the k-th in a random
 /// order (one for each dimension) is uniform in [k/n, (k+1)/n].
-pub fn stratified(partition: &Partition, seed: u64) -> Samples {
-    each_cell(partition, seed, |stream, words, dims| {
+pub fn stratified(partition: &Partition, region: Region, seed: u64) -> Samples {
+    each_cell((partition, region), seed, |stream, words, dims| {
         let samples = words.len() / dims;
         let mut order: Vec<usize> = (0..samples).collect();
         for k in 0..dims {
@@ -32,23 +32,23 @@ pub fn stratified(partition: &Partition, seed: u64) -> Samples {
 }
 
 fn each_cell(
-    partition: &Partition,
+    (partition, region): (&Partition, Region),
     seed: u64,
     mut make: impl FnMut(&mut Stream, &mut [f32], usize),
 ) -> Samples {
-    let shape = partition.shape();
+    let (shape, place) = (region.shape(), region.place());
     let pixel = shape.spp() * shape.dims();
     let mut samples = Samples { words: vec![0.0; shape.coordinates()] };
     let mut words = Vec::new();
-    for index in 0..partition.cells() {
+    for index in partition.cells_in(region) {
         let cell = partition.cell(index);
         words.clear();
         words.resize(cell.pixels(shape.frames()) * pixel, 0.0);
         let mut stream = Stream::new(seed, Use::Start, index as u32, 0);
         make(&mut stream, &mut words, shape.dims());
         for (row, from) in words.chunks_exact(cell.width * pixel).enumerate() {
-            let (t, y) = (row / cell.height, cell.y + row % cell.height);
-            let to = ((y * shape.frames() + t) * shape.width() + cell.x) * pixel;
+            let (t, y) = (row / cell.height, cell.y - place.y + row % cell.height);
+            let to = ((y * shape.frames() + t) * shape.width() + cell.x - place.x) * pixel;
             samples.words[to..to + from.len()].copy_from_slice(from);
         }
     }
@@ -63,8 +63,8 @@ mod tests {
     #[test]
     fn a_stratified_start_has_one_coordinate_in_each_stratum() {
         let shape = TileShape::new(20, 40, 3, 2, 3).unwrap();
-        let partition = Partition::new(shape, Reach::default(), 1);
-        let tile = stratified(&partition, 5).to_tile(shape);
+        let partition = Partition::new(shape, Reach::default());
+        let tile = stratified(&partition, Region::whole(shape), 5).to_tile(shape);
         for cell in (0..partition.cells()).map(|cell| partition.cell(cell)) {
             let samples = cell.pixels(3) * 2;
             let mut points = Vec::new();

@@ -20,8 +20,9 @@ use perceptile_cluster::{Ends, World, faults::Place};
 
 use crate::gradient::simd::Simd;
 use crate::solver::adam::{Factors, Pull, Update, UpdateTo};
+use crate::solver::halo::SampleHalo;
 use crate::solver::{Phase, Storage, rounds};
-use crate::tile::{Reach, Rows, TileShape};
+use crate::tile::{Reach, Region, Regions, Rows, TileShape};
 
 /// The state of a phase between two steps.
 pub trait Snapshot {
@@ -37,7 +38,6 @@ pub trait Snapshot {
 }
 
 /// Samples and Adam's moments of a tile.
-#[derive(Debug)]
 pub(crate) struct State {
     pub rows: Rows,
     pub slots: Slots,
@@ -48,6 +48,8 @@ pub(crate) struct State {
     /// Moments in slots, line after line.
     pub first: Parts<f32>,
     pub second: Parts<f32>,
+    /// What it sees of others' samples.
+    pub halo: SampleHalo,
 }
 
 /// Where the rows of a line's moments lie.
@@ -115,11 +117,12 @@ impl State {
     pub fn enter(
         world: &World,
         phase: Phase,
-        rows: Rows,
+        (regions, reach): (&Regions, Reach),
         [samples, first, second]: [Section; 3],
         plain: &[f32],
         step: u32,
     ) -> Self {
+        let rows = Rows::new(regions.own(), reach);
         let shape = rows.shape();
         let own = rows.own();
         let words = own * shape.frames();
@@ -129,13 +132,14 @@ impl State {
             samples: samples.parts(lines),
             first: by_line(first, slots.line(), shape.height()),
             second: by_line(second, slots.line(), shape.height()),
+            halo: SampleHalo::new(&**world.peers(), regions, reach),
             rows,
             slots,
             step,
         };
         let (rows, shards) = state.shards();
         let round = rounds::enter(phase);
-        world.round(round, Ends::Half, shape.height(), shards, |job, shards| {
+        world.round(round, Ends::Half, 0..shape.height(), shards, |job, shards| {
             let y = job.index();
             let mut line = Line::new((rows, slots), shards, 0);
             for t in 0..shape.frames() {
@@ -147,16 +151,31 @@ impl State {
                 line.second.fill(0.0);
             }
         });
+        state.send(world);
         state
+    }
+
+    /// Sends to others, if there are any, the samples that they see.
+    pub fn send(&mut self, world: &World) {
+        if world.peers().size() > 1 {
+            self.halo.send(&self.rows, self.samples.whole());
+        }
+    }
+
+    /// Takes over the samples of others that this rank sees.
+    pub fn receive(&mut self, world: &World) {
+        self.halo.receive(world, &self.rows, self.samples.whole_mut());
     }
 
     /// Writes the samples to `plain` in line order, and gives the sections back.
     pub fn leave(self, world: &World, phase: Phase, plain: &mut Parts<f32>) -> [Section; 3] {
-        let Self { rows, samples, first, second, .. } = self;
+        let Self { rows, samples, first, second, halo, .. } = self;
+        // What is under way ends here, and nobody needs it.
+        drop(halo);
         let (shape, own) = (rows.shape(), rows.own());
         let from = samples.whole();
         let round = rounds::leave(phase);
-        world.round(round, Ends::Half, shape.height(), (plain,), |job, (mut line,)| {
+        world.round(round, Ends::Half, 0..shape.height(), (plain,), |job, (mut line,)| {
             let words = line.piece(0).chunks_exact_mut(own);
             world.fault(Place::Exchange);
             for (t, row) in words.enumerate() {
@@ -226,7 +245,7 @@ pub struct Onlooker<'a> {
 impl<'a> Onlooker<'a> {
     /// The state that lies in `storage` before a step of a phase whose samples reach so far.
     pub fn new(storage: &'a Storage, shape: TileShape, reach: Reach, step: u32) -> Self {
-        Self { storage, rows: Rows::new(shape, reach), step }
+        Self { storage, rows: Rows::new(Region::whole(shape), reach), step }
     }
 }
 
@@ -330,7 +349,7 @@ mod tests {
     use super::*;
     use crate::metric::Baseline;
     use crate::solver::{Samples, StoragePlan, Team};
-    use crate::tile::{Partition, Reach, TileShape};
+    use crate::tile::Partition;
 
     #[test]
     fn samples_come_and_go_unchanged_and_with_all_their_copies() {
@@ -338,14 +357,22 @@ mod tests {
         // Lines have several copies.
         let reach = Reach { left: 2, right: 3, up: 12, down: 6 };
         let tile = Baseline::White.tile(shape, 4);
-        let partition = Partition::new(shape, reach, 1);
-        let (world, mut storage) = StoragePlan::new(&partition, Team::alone()).private().unwrap();
+        let partition = Partition::new(shape, reach);
+        let whole = Region::whole(shape);
+        let plan = StoragePlan::new(&partition, whole, Team::alone());
+        let (world, mut storage) = plan.private().unwrap();
         storage.tile_mut(shape).copy_from_slice(&Samples::from_tile(&tile).words);
-        let rows = Rows::new(shape, reach);
+        let rows = Rows::new(whole, reach);
         let sections = [storage.samples, storage.first, storage.second];
         let mut plain = by_line(storage.work, rows.own() * 3, 5);
-        let mut state =
-            State::enter(&world, Phase::Descent, rows.clone(), sections, plain.whole(), 0);
+        let mut state = State::enter(
+            &world,
+            Phase::Descent,
+            (&Regions::whole(shape), reach),
+            sections,
+            plain.whole(),
+            0,
+        );
         assert_eq!(state.line_order(), Samples::from_tile(&tile).words);
         let start = (12 + 4) * rows.line() + 2 * rows.stride();
         assert_eq!(state.samples.whole()[start..start + 3], *tile.point(35, 4, 2, 0));

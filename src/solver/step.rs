@@ -3,8 +3,13 @@
 //!
 //! Both halves are rounds of jobs that share no word that is written: a patch belongs to one
 //! block, a line to one job.
+//!
+//! On a cluster each rank does so with its region. Blocks at its edge need samples of others and
+//! have gradients for others, so they are done between two shares of the blocks inside: while the
+//! one is done, samples are under way, and while the other is, gradients.
 
 use std::io;
+use std::ops::Range;
 use std::sync::Arc;
 
 use crossbeam::queue::SegQueue;
@@ -13,14 +18,15 @@ use perceptile_cluster::shared::Parts;
 use perceptile_cluster::{Ends, World};
 
 use crate::gradient::probe::{Probe, Stage, Unprobed};
-use crate::gradient::simd::{Isa, Simd, Vectorized};
+use crate::gradient::simd::Simd;
 use crate::gradient::{Gradient, Objective, Patch, Workspace};
 use crate::solver::adam::AdamOptions;
-use crate::solver::rounds::{self, Half};
+use crate::solver::halo::{GradientHalo, Reduce};
+use crate::solver::rounds::{self, Part};
 use crate::solver::state::{Line, Snapshot, State, by_line};
 use crate::solver::storage::{Found, Record, Storage, StoragePlan, Team};
 use crate::solver::{Phase, Samples};
-use crate::tile::{Block, Overlap, SLACK};
+use crate::tile::{Block, Overlap, Regions, SLACK};
 use perceptile_cluster::shared::{MapError, Section, Words};
 
 /// The descent on the filtered sliced Wasserstein distance.
@@ -31,8 +37,12 @@ pub struct Descent<P = Unprobed> {
     steps: u32,
     simd: Simd,
     state: State,
+    /// Those that others have to do with are at [`Self::edge`].
     blocks: Vec<Block>,
+    edge: Range<usize>,
+    /// Of the patches of all blocks, and of those that come from others.
     overlap: Overlap,
+    halo: GradientHalo,
     patches: Parts<i32>,
     found: Arc<Found>,
     makers: Arc<Words>,
@@ -81,32 +91,41 @@ impl<P: Probe> Descent<P> {
         probe: impl Fn() -> P,
     ) -> Result<Self, MapError> {
         let partition = gradient.partition();
-        let (world, mut storage) = StoragePlan::new(partition, Team::alone()).private()?;
+        let regions = Regions::whole(partition.shape());
+        let plan = StoragePlan::new(partition, regions.own(), Team::alone());
+        let (world, mut storage) = plan.private()?;
         storage.tile_mut(partition.shape()).copy_from_slice(&samples.words);
-        Ok(Self::enter(world, storage, gradient, adam, steps, (simd, 0), probe))
+        Ok(Self::enter(world, storage, (gradient, &regions), adam, steps, (simd, 0), probe))
     }
 
-    /// Prepares `steps` steps from the samples that lie in the storage, by all ranks of a world;
-    /// from
-    /// step `first_step` on. After step 0, it goes on with the moments that are there.
+    /// Prepares `steps` steps from the samples of a region that lie in the storage, by all ranks
+    /// of a world and of its peers; from step `first_step` on. After step 0, it goes on with the
+    /// moments that are there.
     pub fn enter(
         world: Arc<World>,
         storage: Storage,
-        gradient: Gradient,
+        (gradient, regions): (Gradient, &Regions),
         adam: AdamOptions,
         steps: u32,
         (simd, first_step): (Simd, u32),
         probe: impl Fn() -> P,
     ) -> Self {
+        let gradient = gradient.within(regions.own());
         let partition = gradient.partition();
         let plan = world.board().plan();
-        let team = Team { ranks: plan.ranks, threads: plan.threads, can_fail: plan.journal > 0 };
-        let blocks = team.blocks(partition);
-        let overlap = Overlap::new(partition.shape(), &blocks);
+        let can_fail = plan.journal > 0;
+        let team = Team { ranks: plan.ranks, threads: plan.threads, regions: 1, can_fail };
         let Storage { samples, first, second, work, counts, found, makers, record } = storage;
-        let rows = gradient.rows().clone();
         let sections = [samples, first, second];
-        let state = State::enter(&world, Phase::Descent, rows, sections, work.slice(), first_step);
+        let seen = (regions, partition.reach());
+        let state = State::enter(&world, Phase::Descent, seen, sections, work.slice(), first_step);
+        let all = team.blocks(partition, regions.own());
+        let (edge, inside): (Vec<_>, Vec<_>) =
+            all.into_iter().partition(|block| state.halo.touches(block.window()));
+        let (blocks, edge) = around(edge, inside);
+        let halo = GradientHalo::new(&**world.peers(), regions, partition.reach(), &blocks);
+        let windows = blocks.iter().map(Block::window).chain(halo.windows());
+        let overlap = Overlap::new(regions.own(), windows);
         let mut start = 0;
         let patch = |block: &Block| {
             let words = start..start + block.words() + SLACK;
@@ -127,7 +146,9 @@ impl<P: Probe> Descent<P> {
             simd,
             state,
             blocks,
+            edge,
             overlap,
+            halo,
             patches,
             found,
             makers,
@@ -148,8 +169,8 @@ impl<P: Probe> Descent<P> {
         Storage { samples, first, second, work, counts, found, makers, record }
     }
 
-    /// Does step number `step`. Returns the objective that the draws found, before the step moved
-    /// the samples.
+    /// Does step number `step`. Returns the objective that the draws of this region found, before
+    /// the step moved the samples.
     pub fn step(&mut self, step: u32) -> Objective {
         self.pull(step);
         self.update(step);
@@ -173,13 +194,34 @@ impl<P: Probe> Descent<P> {
 
     /// Fills the patches of all blocks.
     fn pull(&mut self, step: u32) {
+        let edge = self.edge.clone();
+        let has_others = self.world.peers().size() > 1;
+        if has_others {
+            self.pull_blocks(step, Part::Early, 0..edge.start);
+            self.state.receive(&self.world);
+            self.pull_blocks(step, Part::Edge, edge.clone());
+            let patches = cut(self.patches.whole(), &self.blocks);
+            self.halo.send(&patches, self.simd);
+        }
+        self.pull_blocks(step, Part::Pull, edge.end..self.blocks.len());
+        if has_others {
+            self.halo.receive(&self.world);
+        }
+    }
+
+    /// Fills the patches of some blocks.
+    fn pull_blocks(&mut self, step: u32, part: Part, which: Range<usize>) {
         let Self { world, gradient, state, blocks, patches, found, makers, scratch, .. } = self;
-        let round = rounds::step(Phase::Descent, step, Half::Pull);
+        let (round, halo) = (rounds::step(Phase::Descent, step, part), &self.halo);
         // The section may be longer, for another phase.
         let samples = &state.samples.whole()[..state.rows.words() + SLACK];
-        world.round(round, Ends::Half, blocks.len(), (patches,), |job, (mut patch,)| {
+        world.round(round, Ends::Half, which, (patches,), |job, (mut patch,)| {
             let block = &blocks[job.index()];
             world.fault(Place::Pull);
+            match part {
+                Part::Early => state.halo.progress(),
+                _ => halo.progress(),
+            }
             let objective = with(scratch, |Scratch { workspace, probe, .. }| {
                 let patch = Patch { words: patch.piece(0) };
                 gradient.block(step, block, samples, patch, workspace, probe)
@@ -194,48 +236,66 @@ impl<P: Probe> Descent<P> {
 
     /// Adds up the patches and moves the samples.
     fn update(&mut self, step: u32) {
-        let Self { world, gradient, adam, simd, state, blocks, overlap, .. } = self;
+        let Self { world, gradient, adam, simd, state, blocks, overlap, halo, .. } = self;
         let Self { patches, found, makers, record, scratch, .. } = self;
-        let round = rounds::step(Phase::Descent, step, Half::Update);
+        let round = rounds::step(Phase::Descent, step, Part::Update);
         let factors = adam.factors(step, self.steps, gradient.quantum().unit());
-        let patches = patches.whole();
         let slots = state.slots;
         let turns = slots.turns(step);
         state.step = step + 1;
         let (rows, shards) = state.shards();
         let shape = rows.shape();
-        let mut start = 0;
-        let patches: Vec<&[i32]> = blocks
-            .iter()
-            .map(|block| {
-                start += block.words() + SLACK;
-                &patches[start - block.words() - SLACK..start]
-            })
-            .collect();
-        world.round(round, Ends::Step, shape.height(), shards, |job, shards| {
-            let y = job.index();
-            if y == 0 {
-                record.set(step, found.sum(blocks.len()).mean());
-            }
-            let mut line = Line::new((rows, slots), shards, job.units_done());
-            with(scratch, |Scratch { sums, probe, .. }| {
-                for t in job.units_done()..shape.frames() {
-                    let (patches, simd) = (&patches, *simd);
-                    simd.run(Reduce { overlap, blocks, patches, y, t, sums });
-                    world.fault(Place::Reduce);
-                    probe.lap(Stage::Reduce);
-                    line.update((world, job), (t, turns), factors, sums, simd);
-                    probe.lap(Stage::Adam);
+        let own = cut(patches.whole(), blocks);
+        halo.with_received(|received| {
+            let patches: Vec<&[i32]> = own.into_iter().chain(received).collect();
+            let patches = patches.as_slice();
+            world.round(round, Ends::Step, 0..shape.height(), shards, |job, shards| {
+                let y = job.index();
+                if y == 0 {
+                    record.set(step, found.sum(blocks.len()));
+                }
+                let mut line = Line::new((rows, slots), shards, job.units_done());
+                with(scratch, |Scratch { sums, probe, .. }| {
+                    for t in job.units_done()..shape.frames() {
+                        let simd = *simd;
+                        simd.run(Reduce { overlap, patches, y, t, sums });
+                        world.fault(Place::Reduce);
+                        probe.lap(Stage::Reduce);
+                        line.update((world, job), (t, turns), factors, sums, simd);
+                        probe.lap(Stage::Adam);
+                    }
+                });
+                if world.size() > 1 {
+                    let foreign =
+                        |&&(block, _): &&(usize, usize)| found.maker(block) != world.rank();
+                    let bytes = |&(block, _): &(usize, usize)| 4 * blocks[block].line() as u64;
+                    world.read_from_others(overlap.line(y).iter().filter(foreign).map(bytes).sum());
+                    makers[y].store(world.rank() as u64, std::sync::atomic::Ordering::Relaxed);
                 }
             });
-            if world.size() > 1 {
-                let foreign = |&&(block, _): &&(usize, usize)| found.maker(block) != world.rank();
-                let bytes = |&(block, _): &(usize, usize)| 4 * blocks[block].line() as u64;
-                world.read_from_others(overlap.line(y).iter().filter(foreign).map(bytes).sum());
-                makers[y].store(world.rank() as u64, std::sync::atomic::Ordering::Relaxed);
-            }
         });
+        state.send(world);
     }
+}
+
+/// Puts blocks at the edge between two shares of those inside. Returns where they are, too.
+fn around(edge: Vec<Block>, mut inside: Vec<Block>) -> (Vec<Block>, Range<usize>) {
+    // Nobody waits for a share that is not needed.
+    let early = if edge.is_empty() { 0 } else { inside.len() / 2 };
+    let late = inside.split_off(early);
+    let range = early..early + edge.len();
+    (inside.into_iter().chain(edge).chain(late).collect(), range)
+}
+
+/// Cuts the memory of all patches into those of each block.
+fn cut<'a>(words: &'a [i32], blocks: &[Block]) -> Vec<&'a [i32]> {
+    let mut rest = words;
+    let mut cut = |block: &Block| {
+        let (patch, after) = rest.split_at(block.words() + SLACK);
+        rest = after;
+        patch
+    };
+    blocks.iter().map(&mut cut).collect()
 }
 
 impl<P> Snapshot for Descent<P> {
@@ -261,32 +321,4 @@ fn with<P: Probe, T>(scratch: &SegQueue<Scratch<P>>, work: impl FnOnce(&mut Scra
     let result = work(&mut mine);
     scratch.push(mine);
     result
-}
-
-/// Adds up one row of the gradient.
-struct Reduce<'a> {
-    overlap: &'a Overlap,
-    blocks: &'a [Block],
-    patches: &'a [&'a [i32]],
-    y: usize,
-    t: usize,
-    sums: &'a mut [i32],
-}
-
-impl Vectorized for Reduce<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<I: Isa>(self, _: I) {
-        let Self { overlap, blocks, patches, y, t, sums } = self;
-        sums.fill(0);
-        for &(block, start) in overlap.line(y) {
-            let row = &patches[block][start + t * blocks[block].stride()..];
-            for segment in overlap.segments(block) {
-                let part = &row[segment.from..segment.from + segment.len];
-                let sums = &mut sums[segment.to..segment.to + segment.len];
-                sums.iter_mut().zip(part).for_each(|(sum, &part)| *sum += part);
-            }
-        }
-    }
 }

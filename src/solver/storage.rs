@@ -10,6 +10,7 @@ use std::sync::atomic::Ordering;
 
 use perceptile_cluster::World;
 use perceptile_cluster::faults::Faults;
+use perceptile_cluster::peers::Peers;
 use perceptile_cluster::shared::{Arena, Board, BoardPlan, Map, MapError, Section, Words};
 
 use serde::{Deserialize, Serialize};
@@ -17,15 +18,17 @@ use serde::{Deserialize, Serialize};
 use crate::gradient::Objective;
 use crate::solver::state::Slots;
 use crate::solver::{BLOCKS_PER_THREAD, Summary, warp};
-use crate::tile::{Block, Partition, Reach, SLACK, TileShape};
+use crate::tile::{Block, Partition, Reach, Region, SLACK, TileShape};
 
-/// Who works on a run.
+/// Who works on a region of a run's tile.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Team {
     /// Ranks: processes.
     pub ranks: usize,
     /// Threads of each.
     pub threads: usize,
+    /// Regions that the tile is cut into, for as many teams that share no memory.
+    pub regions: usize,
     /// Whether a rank can be lost: then changes in place are written down before.
     pub can_fail: bool,
 }
@@ -33,7 +36,7 @@ pub struct Team {
 impl Team {
     /// The threads of the current pool.
     pub fn alone() -> Self {
-        Self { ranks: 1, threads: rayon::current_num_threads(), can_fail: false }
+        Self { ranks: 1, threads: rayon::current_num_threads(), regions: 1, can_fail: false }
     }
 
     /// Threads of all ranks.
@@ -41,9 +44,9 @@ impl Team {
         self.ranks.saturating_mul(self.threads)
     }
 
-    /// The blocks that the team works on.
-    pub(crate) fn blocks(&self, partition: &Partition) -> Vec<Block> {
-        partition.blocks(self.all_threads() * BLOCKS_PER_THREAD)
+    /// The blocks of a region that the team works on.
+    pub(crate) fn blocks(&self, partition: &Partition, region: Region) -> Vec<Block> {
+        partition.blocks(region, self.all_threads() * BLOCKS_PER_THREAD)
     }
 }
 
@@ -78,21 +81,21 @@ pub struct Storage {
 }
 
 impl StoragePlan {
-    /// Memory for the descent on a partition, by a team.
-    pub fn new(partition: &Partition, team: Team) -> Self {
-        let shape = partition.shape();
+    /// Memory for the descent on a region, by a team.
+    pub fn new(partition: &Partition, region: Region, team: Team) -> Self {
+        let shape = region.shape();
         let count = team.all_threads().saturating_mul(BLOCKS_PER_THREAD);
         // The count itself may be less than asked for, or more.
-        let blocks = partition.block_count(count);
+        let blocks = partition.block_count(region, count);
         let pixel = shape.spp() * shape.dims();
         let patches = partition
-            .block_pixels(count)
+            .block_pixels(region, count)
             .saturating_mul(pixel)
             .saturating_add(blocks.saturating_mul(SLACK));
         Self {
             team,
             shape,
-            samples: rows(partition).max(shape.coordinates()),
+            samples: rows(shape, partition.reach()).max(shape.coordinates()),
             work: patches.max(shape.coordinates()),
             blocks,
         }
@@ -100,12 +103,11 @@ impl StoragePlan {
 
     /// The same, and memory for a polish whose samples see each other so far away.
     pub fn with_polish(self, reach: Reach) -> Self {
-        let partition = Partition::new(self.shape, reach, 1);
-        Self { samples: self.samples.max(rows(&partition)), ..self }
+        Self { samples: self.samples.max(rows(self.shape, reach)), ..self }
     }
 
     fn board(&self) -> BoardPlan {
-        let Team { ranks, threads, can_fail } = self.team;
+        let Team { ranks, threads, can_fail, .. } = self.team;
         let row = self.shape.width() * self.shape.spp() * self.shape.dims();
         let jobs = self.blocks.max(self.shape.height()).max(warp::jobs(self.shape, self.team));
         // A unit is a row of samples.
@@ -156,6 +158,11 @@ impl StoragePlan {
     /// # Panics
     /// If the map is smaller than [`Self::bytes`], or the rank is none of the team.
     pub fn open(&self, map: Map, rank: usize, faults: Option<Faults>) -> (Arc<World>, Storage) {
+        let (world, storage) = self.parts(map, rank, faults);
+        (Arc::new(world), storage)
+    }
+
+    fn parts(&self, map: Map, rank: usize, faults: Option<Faults>) -> (World, Storage) {
         let mut arena = Arena::new(map);
         let board = Board::new(&mut arena, self.board());
         let storage = Storage {
@@ -168,7 +175,7 @@ impl StoragePlan {
             makers: Arc::new(arena.take(8 * self.shape.height()).words()),
             record: Arc::new(Record(arena.take(8 * Record::WORDS).words())),
         };
-        (Arc::new(World::new(board, rank, faults)), storage)
+        (World::new(board, rank, faults), storage)
     }
 
     /// Memory of this process alone.
@@ -178,14 +185,25 @@ impl StoragePlan {
     pub fn private(&self) -> Result<(Arc<World>, Storage), MapError> {
         Ok(self.open(Map::private(self.bytes())?, 0, None))
     }
+
+    /// Memory of this process alone, which has peers.
+    ///
+    /// # Errors
+    /// If the system does not give it.
+    pub fn beside(&self, peers: Arc<dyn Peers>) -> Result<(Arc<World>, Storage), MapError> {
+        let (world, storage) = self.parts(Map::private(self.bytes())?, 0, None);
+        Ok((Arc::new(world.with_peers(peers)), storage))
+    }
 }
 
-/// Words of the rows of a tile, [`SLACK`] included: those of one block and its halo; saturating,
-/// as a tile may be larger than memory.
-fn rows(partition: &Partition) -> usize {
-    let shape = partition.shape();
-    let pixel = shape.spp() * shape.dims();
-    partition.block_pixels(1).saturating_mul(pixel).saturating_add(SLACK)
+/// Words of the rows of a region, [`SLACK`] included; saturating, as it may be larger than memory.
+fn rows(shape: TileShape, Reach { left, right, up, down }: Reach) -> usize {
+    let across = left.saturating_add(shape.width()).saturating_add(right);
+    let lines = up.saturating_add(shape.height()).saturating_add(down);
+    [lines, shape.frames(), shape.spp(), shape.dims()]
+        .into_iter()
+        .fold(across, usize::saturating_mul)
+        .saturating_add(SLACK)
 }
 
 /// Bytes of so many words of a size.
@@ -194,12 +212,12 @@ fn bytes(size: usize, words: usize) -> usize {
 }
 
 impl Storage {
-    /// A tile in line order, as phases find it and leave it.
+    /// A region of this shape in line order, as phases find it and leave it.
     pub fn tile_mut(&mut self, shape: TileShape) -> &mut [f32] {
         &mut self.work.slice_mut()[..shape.coordinates()]
     }
 
-    /// The section in which the tile lies, in line order, after so many frames of the warp. The
+    /// The section in which the region lies, in line order, after so many frames of the warp. The
     /// memory of the others is given back.
     pub fn into_tile(self, frames: u32) -> Section {
         let Self { samples, first, second, work, .. } = self;
@@ -258,42 +276,60 @@ impl Found {
     }
 }
 
-/// The mean objective of the first steps of a descent, and of the last ones.
+/// What the first steps of a descent found, and the last ones.
 #[derive(Debug)]
 pub struct Record(Words);
 
 impl Record {
-    const WORDS: usize = 2 * Summary::WINDOW;
+    /// Words of a step.
+    const STEP: usize = 2;
+    const WORDS: usize = 2 * Summary::WINDOW * Self::STEP;
 
-    /// Writes down the objective of a step.
-    pub(crate) fn set(&self, step: u32, mean: f64) {
+    /// Writes down what a step found.
+    pub(crate) fn set(&self, step: u32, objective: Objective) {
         let step = step as usize;
+        let set = |at: usize| {
+            for (word, value) in self.0[at * Self::STEP..].iter().zip(objective.to_words()) {
+                word.store(value, Ordering::Relaxed);
+            }
+        };
         if step < Summary::WINDOW {
-            self.0[step].store(mean.to_bits(), Ordering::Relaxed);
+            set(step);
         }
-        self.0[Summary::WINDOW + step % Summary::WINDOW].store(mean.to_bits(), Ordering::Relaxed);
+        set(Summary::WINDOW + step % Summary::WINDOW);
     }
 
-    /// The means over the first and the last steps when so many are done; none after none.
+    /// What it holds now.
+    pub fn read(&self) -> Recorded {
+        Recorded { words: self.0.iter().map(|word| word.load(Ordering::Relaxed) as i64).collect() }
+    }
+
+    /// Takes over what was kept; what is missing stays as it is.
+    pub fn restore(&self, kept: &Recorded) {
+        for (word, &value) in self.0.iter().zip(&kept.words) {
+            word.store(value as u64, Ordering::Relaxed);
+        }
+    }
+}
+
+/// What a [`Record`] held. Those of ranks with a region each add up word by word.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct Recorded {
+    /// The words.
+    pub words: Vec<i64>,
+}
+
+impl Recorded {
+    /// The mean objectives over the first and the last steps when so many are done; none after
+    /// none.
     pub fn means(&self, done: u32) -> [Option<f64>; 2] {
         let (done, window) = (done as usize, Summary::WINDOW);
         let count = done.min(window);
-        let value = |at: usize| f64::from_bits(self.0[at].load(Ordering::Relaxed));
+        let word = |at: usize| self.words.get(at).map_or(0, |&word| word as u64);
+        let value = |at: usize| Objective::from_words([word(2 * at), word(2 * at + 1)]).mean();
         let first: f64 = (0..count).map(value).sum();
         let last: f64 = (done - count..done).map(|step| value(window + step % window)).sum();
         [first, last].map(|sum| (count > 0).then(|| sum / count as f64))
-    }
-
-    /// All that it holds, to be kept.
-    pub fn to_values(&self) -> Vec<f64> {
-        self.0.iter().map(|word| f64::from_bits(word.load(Ordering::Relaxed))).collect()
-    }
-
-    /// Takes over what was kept; values that are missing are 0.
-    pub fn restore(&self, values: &[f64]) {
-        for (word, value) in self.0.iter().zip(values) {
-            word.store(value.to_bits(), Ordering::Relaxed);
-        }
     }
 }
 
@@ -304,16 +340,19 @@ mod tests {
     #[test]
     fn means_are_those_of_the_first_and_the_last_steps() {
         let shape = TileShape::new(16, 16, 1, 1, 2).unwrap();
-        let partition = Partition::new(shape, Reach::default(), 1);
-        let (_, storage) = StoragePlan::new(&partition, Team::alone()).private().unwrap();
+        let partition = Partition::new(shape, Reach::default());
+        let plan = StoragePlan::new(&partition, Region::whole(shape), Team::alone());
+        let (_, storage) = plan.private().unwrap();
         let record = &storage.record;
-        assert_eq!(record.means(0), [None, None]);
-        (0..100).for_each(|step| record.set(step, f64::from(step)));
-        assert_eq!(record.means(100), [Some(15.5), Some(83.5)]);
-        (0..3).for_each(|step| record.set(step, f64::from(step)));
-        assert_eq!(record.means(3), [Some(1.0), Some(1.0)]);
-        let (_, other) = StoragePlan::new(&partition, Team::alone()).private().unwrap();
-        other.record.restore(&record.to_values());
-        assert_eq!(other.record.means(3), record.means(3));
+        assert_eq!(record.read().means(0), [None, None]);
+        // W2^2 of 2^-24 a unit, over one direction.
+        let found = |step: u32| Objective::from_words([u64::from(step) << 24, 1]);
+        (0..100).for_each(|step| record.set(step, found(step)));
+        assert_eq!(record.read().means(100), [Some(15.5), Some(83.5)]);
+        (0..3).for_each(|step| record.set(step, found(step)));
+        assert_eq!(record.read().means(3), [Some(1.0), Some(1.0)]);
+        let (_, other) = plan.private().unwrap();
+        other.record.restore(&record.read());
+        assert_eq!(other.record.read().means(3), record.read().means(3));
     }
 }

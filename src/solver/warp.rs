@@ -65,11 +65,11 @@ impl WarpOptions {
     }
 }
 
-/// Warps the tile that lies in the storage towards uniform density; it lies where
-/// [`Storage::into_tile`] finds it then.
+/// Warps the tile towards uniform density; `shape` is that of the region that lies in the storage,
+/// where [`Storage::into_tile`] finds it then.
 ///
 /// Each round moves the samples by one frame, from one section to another and back, and counts
-/// them for the next frame.
+/// them for the next frame. Ranks of a cluster add up what they count, and nothing else.
 pub fn warp(
     world: &World,
     storage: Storage,
@@ -84,7 +84,9 @@ pub fn warp(
         return storage;
     }
     let plan = world.board().plan();
-    let jobs = jobs(shape, Team { ranks: plan.ranks, threads: plan.threads, can_fail: false });
+    let team =
+        Team { ranks: plan.ranks, threads: plan.threads, regions: 1, can_fail: plan.journal > 0 };
+    let jobs = jobs(shape, team);
     let points = shape.coordinates() / dims;
     let part = |job: usize| points * job / jobs * dims..points * (job + 1) / jobs * dims;
     let tile =
@@ -113,13 +115,22 @@ pub fn warp(
             let (seen, counts) = if frame % 2 == 1 { (even, odd) } else { (odd, even) };
             let (from, seen) = (from.whole(), seen.whole());
             let maps = OnceLock::new();
-            let make_maps = || -> Vec<Vec<f32>> {
+            let add_up = || -> Vec<i64> {
                 let count = |bin: usize| seen[bin..].iter().step_by(COUNTS).take(jobs).sum();
-                let sums: Vec<i64> = (0..COUNTS).map(count).collect();
+                (0..COUNTS).map(count).collect()
+            };
+            let peers = world.peers();
+            let all_ranks = (frame > 0 && peers.size() > 1).then(|| {
+                let mut sums = add_up();
+                peers.sum(&mut sums);
+                sums
+            });
+            let make_maps = || -> Vec<Vec<f32>> {
+                let sums = all_ranks.clone().unwrap_or_else(add_up);
                 let axes = before.iter().zip(sums.chunks(BINS));
                 axes.map(|(axis, sums)| axis.displacements(&targets, sums, options.rate)).collect()
             };
-            world.round(round, Ends::Half, jobs, (to, counts), |job, (mut to, mut counts)| {
+            world.round(round, Ends::Half, 0..jobs, (to, counts), |job, (mut to, mut counts)| {
                 let (to, counts) = (to.piece(0), counts.piece(0));
                 counts.fill(0);
                 let from = &from[part(job.index())];
@@ -275,7 +286,7 @@ mod tests {
     use super::*;
     use crate::metric::histogram;
     use crate::solver::{Samples, StoragePlan};
-    use crate::tile::{Partition, Reach, Tile};
+    use crate::tile::{Partition, Reach, Region, Tile};
 
     /// Points of the additive recurrence of the generalised golden ratio: far more even than
     /// random ones, so that what is left of a density's unevenness can be seen.
@@ -294,8 +305,9 @@ mod tests {
 
     fn warp_words(words: &[f32], dims: usize, options: WarpOptions, simd: Simd) -> Samples {
         let shape = TileShape::new(words.len() / dims, 1, 1, 1, dims).unwrap();
-        let partition = Partition::new(shape, Reach::default(), 1);
-        let (world, mut storage) = StoragePlan::new(&partition, Team::alone()).private().unwrap();
+        let partition = Partition::new(shape, Reach::default());
+        let plan = StoragePlan::new(&partition, Region::whole(shape), Team::alone());
+        let (world, mut storage) = plan.private().unwrap();
         storage.tile_mut(shape).copy_from_slice(words);
         let storage = warp(&world, storage, shape, options, 3, simd);
         let tile = storage.into_tile(options.all_frames(dims));

@@ -6,12 +6,14 @@
 mod block;
 mod layout;
 mod partition;
+mod region;
 mod rows;
 mod shape;
 
 pub use block::{Block, Overlap, Segment};
 pub use layout::{LINE, Layout, Placement};
-pub use partition::{Cell, Partition, Reach};
+pub use partition::{Cell, Partition, Reach, TooManyRanks};
+pub use region::{Piece, Region, Regions, Window};
 pub use rows::{Rows, SLACK};
 pub use shape::{MAX_DIMS, MAX_SPP, ShapeError, TileShape};
 

@@ -5,26 +5,35 @@
 //! a row and behind it stand copies of its pixels around the torus, as far as draws reach, and
 //! above and below the tile copies of its lines: what a draw needs of a row is one run of
 //! memory, wherever it lies.
+//!
+//! A rank of a cluster has the rows of its region instead of the tile's. Where the region goes
+//! around the torus its copies are its own; all others come from where the samples are.
 
-use crate::tile::{Reach, TileShape};
+use crate::tile::{Reach, Region, TileShape, Window};
 
 /// Words behind the last row that may be read, so that runs can be read in whole registers.
 pub const SLACK: usize = 16;
 
-/// The rows of a tile, in words of four bytes.
+/// The rows of a region of a tile, in words of four bytes.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Rows {
+    region: Region,
     shape: TileShape,
     reach: Reach,
 }
 
 impl Rows {
-    /// Rows of `shape` with copies for draws of a given `reach`.
-    pub fn new(shape: TileShape, reach: Reach) -> Self {
-        Self { shape, reach }
+    /// Rows of a region with copies for draws of a given `reach`.
+    pub fn new(region: Region, reach: Reach) -> Self {
+        Self { region, shape: region.shape(), reach }
     }
 
-    /// The tile's shape.
+    /// The region.
+    pub fn region(&self) -> Region {
+        self.region
+    }
+
+    /// The region's shape.
     pub fn shape(&self) -> TileShape {
         self.shape
     }
@@ -64,38 +73,53 @@ impl Rows {
         self.reach.left * self.pixel()
     }
 
-    /// The words of the tile's own lines.
+    /// The words of the region's own lines.
     pub fn lines(&self) -> std::ops::Range<usize> {
         let start = self.reach.up * self.line();
         start..start + self.shape.height() * self.line()
     }
 
-    /// First word of pixel `(x, y)` of frame `t`.
+    /// First word of pixel `(x, y)` of frame `t`, counted from the region's first.
     pub fn word(&self, x: usize, y: usize, t: usize) -> usize {
         let row = (self.reach.up + y) * self.shape.frames() + t;
         row * self.stride() + self.lead() + x * self.pixel()
     }
 
-    /// The words of line `y`, and those of its copies above the tile and below it.
+    /// First word of a row of a window in the region or around it: its `j`-th in frame `t`.
+    pub fn word_of(&self, window: Window, j: usize, t: usize) -> usize {
+        let place = self.region.place();
+        let y = window.y - (place.y as i64 - self.reach.up as i64) + j as i64;
+        let x = window.x - (place.x as i64 - self.reach.left as i64);
+        y as usize * self.line() + t * self.stride() + x as usize * self.pixel()
+    }
+
+    /// The words of line `y`, and those of its copies above the region and below it.
     pub fn line_and_copies(&self, y: usize) -> Vec<std::ops::Range<usize>> {
         let (height, up) = (self.shape.height(), self.reach.up);
+        let words = |line: usize| line * self.line()..(line + 1) * self.line();
+        if !self.region.wraps_y() {
+            return vec![words(up + y)];
+        }
         let lines = up + height + self.reach.down;
         // The first line that is one of them.
         let first = (up + y) % height;
         let copies = (first..lines).step_by(height).filter(|&line| line != up + y);
-        let words = |line: usize| line * self.line()..(line + 1) * self.line();
         std::iter::once(up + y).chain(copies).map(words).collect()
     }
 
-    /// Renews the copies in front of a row's own pixels and behind them.
+    /// Renews the copies in front of a row's own pixels and behind them, where they are its own.
     pub fn close_row(&self, row: &mut [f32]) {
-        close(row, self.lead(), self.own());
+        if self.region.wraps_x() {
+            close(row, self.lead(), self.own());
+        }
     }
 
-    /// Renews the copies of lines above the tile and below it.
+    /// Renews the copies of lines above the region and below it, where they are its own.
     pub fn close_lines(&self, samples: &mut [f32]) {
-        let lines = self.lines();
-        close(&mut samples[..self.words()], lines.start, lines.len());
+        if self.region.wraps_y() {
+            let lines = self.lines();
+            close(&mut samples[..self.words()], lines.start, lines.len());
+        }
     }
 }
 
@@ -128,7 +152,7 @@ mod tests {
             left in 0_usize..20, right in 0_usize..20, up in 0_usize..14, down in 0_usize..14,
         ) {
             let shape = TileShape::new(width, height, frames, spp, 2).unwrap();
-            let rows = Rows::new(shape, Reach { left, right, up, down });
+            let rows = Rows::new(Region::whole(shape), Reach { left, right, up, down });
             let pixel = rows.pixel();
             let word = |x: usize, y: usize, t: usize, k: usize| {
                 (shape.pixel(x, y, t) * pixel + k) as f32

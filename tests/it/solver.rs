@@ -73,7 +73,7 @@ fn steps_are_adams_on_the_plain_gradient() {
     let kernel = options([18, 11, 8, 2, 2], KERNEL, 0, 0).kernel.resolve(shape).unwrap();
     let levels = LevelSets::new([(1.0, &kernel.classes()[0].taps)]);
     let draws = Draws::new(case.draw, case.seed, levels, 2);
-    let partition = Partition::new(shape, draws.levels().reach(), 1);
+    let partition = Partition::new(shape, draws.levels().reach());
     let quantum = Quantum::new(&draws, &partition).unwrap();
     let gradient = Gradient::new(draws, partition, quantum, Simd::detect());
     let steps = 3;
@@ -113,7 +113,7 @@ fn going_on_from_other_samples_keeps_the_moments() {
     let kernel = options.kernel.resolve(options.shape).unwrap();
     let levels = LevelSets::new([(1.0, &kernel.classes()[0].taps)]);
     let draws = Draws::new(options.draw, 1, levels, 2);
-    let partition = Partition::new(options.shape, draws.levels().reach(), 1);
+    let partition = Partition::new(options.shape, draws.levels().reach());
     let quantum = Quantum::new(&draws, &partition).unwrap();
     let gradient = Gradient::new(draws, partition, quantum, Simd::detect());
     let start = |seed| Samples::from_tile(&Baseline::White.tile(options.shape, seed));

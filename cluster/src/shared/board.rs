@@ -253,11 +253,11 @@ impl Board {
         Some(Claim { token: Token { job: job.job }, job })
     }
 
-    /// Whether all of a round's first `jobs` jobs are done.
-    pub(crate) fn all_done(&self, round: u64, jobs: usize) -> bool {
+    /// Whether all of a round's jobs are done.
+    pub(crate) fn all_done(&self, round: u64, jobs: Range<usize>) -> bool {
         // After one's own last word, so that of two who finish at once one sees both.
         fence(Ordering::SeqCst);
-        self.words[self.job_words()][..jobs].iter().all(|word| {
+        self.words[self.job_words()][jobs].iter().all(|word| {
             let seen = word.load(Ordering::Acquire);
             seen >> ROUND_SHIFT > round || (seen >> ROUND_SHIFT == round && state(seen) == DONE)
         })
@@ -475,16 +475,16 @@ mod tests {
         assert!(board.claim(1, 2, 1).is_none());
         claim.job.finish();
         assert!(board.claim(1, 2, 1).is_none());
-        assert!(!board.all_done(1, 5));
+        assert!(!board.all_done(1, 0..5));
         for job in [0, 1, 3, 4] {
             board.claim(1, job, 3).unwrap().job.finish();
         }
-        assert!(board.all_done(1, 5));
+        assert!(board.all_done(1, 0..5));
         board.complete(1);
         assert_eq!(board.completed(), 1);
         // One that comes late finds nothing to do in the old round once there is a new one.
         let _claim = board.claim(2, 2, 4).unwrap();
-        assert!(board.claim(1, 2, 1).is_none() && board.all_done(1, 5));
+        assert!(board.claim(1, 2, 1).is_none() && board.all_done(1, 0..5));
     }
 
     #[test]
