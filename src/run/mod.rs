@@ -21,6 +21,7 @@ pub mod observer;
 pub mod outputs;
 pub mod phases;
 pub mod program;
+pub mod ranks;
 pub mod signals;
 pub mod travel;
 #[cfg(unix)]
