@@ -13,6 +13,7 @@
 
 pub mod codec;
 pub mod faults;
+pub mod launcher;
 pub mod peers;
 pub mod place;
 #[cfg(unix)]
