@@ -14,6 +14,9 @@
 pub mod codec;
 pub mod faults;
 pub mod launcher;
+#[cfg(feature = "mpi")]
+#[allow(unsafe_code, reason = "the room for it: every block says why it is sound")]
+pub mod mpi;
 pub mod peers;
 pub mod place;
 #[cfg(unix)]

@@ -1,6 +1,6 @@
 //! Memory that several processes see, and who may touch which part of it when.
 //!
-//! The one room of the crate with `unsafe`. [`Map`] is the memory, [`Section`]s are pieces of it
+//! A room of the crate with `unsafe`. [`Map`] is the memory, [`Section`]s are pieces of it
 //! that nobody else has, [`Parts`] are what jobs are given of a section, [`Words`] are numbers that
 //! anyone may read and write at any time, and [`Board`] deals out the jobs of a round. What makes
 //! it safe is one rule: **a part belongs to whoever holds the claim of its job, and to nobody
