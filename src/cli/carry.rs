@@ -3,6 +3,7 @@
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime};
 
 use anyhow::Context;
@@ -10,21 +11,28 @@ use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use perceptile::format::sidecar::{self, Sidecar};
 use perceptile::format::write::Existing;
+use perceptile::gradient::simd::Simd;
 use perceptile::metric::{Domain, ScoreOptions, Scorer, Scores};
 use perceptile::run::begin::Begin;
 #[cfg(unix)]
 use perceptile::run::crew::{self, CrewOptions, CrewSummary};
 use perceptile::run::keeper::{Every, Keeper};
+use perceptile::run::memory;
 use perceptile::run::observer::{Observer, Progress};
 use perceptile::run::outputs::Outputs;
 use perceptile::run::phases;
 use perceptile::run::program::Program;
+use perceptile::run::ranks::{self as cluster, RanksSummary};
 use perceptile::run::signals::Signals;
 use perceptile::solver::{Options, Phase, StopReason, Summary};
+use perceptile::tile::{Tile, TileShape};
 use perceptile_cluster::faults::FaultPlan;
+use perceptile_cluster::peers::Peers;
+use rayon::ThreadPool;
 use serde::{Deserialize, Serialize};
 
 use super::execution::{self, ExecutionArgs};
+use super::ranks::{self, Prepared, Told};
 use super::settings::Settings;
 use super::{Misuse, print};
 
@@ -73,8 +81,8 @@ pub struct Ready {
     pub invocation: Invocation,
     /// What its ranks do.
     pub program: Program,
-    /// What it begins with.
-    pub begin: Begin,
+    /// What it begins with, until it does.
+    pub begin: Option<Begin>,
     /// Whether its files may be replaced.
     pub existing: Existing,
     /// Who writes its checkpoints.
@@ -87,13 +95,17 @@ impl CarryArgs {
         self.checkpoint
     }
 
-    /// Checks that what is asked of workers is asked of workers.
+    /// Checks that what is asked of workers is asked of workers, and that there are not both
+    /// workers and ranks.
     ///
     /// # Errors
-    /// Flags for workers where there are none.
-    pub fn check(&self, execution: &ExecutionArgs) -> Result<(), Misuse> {
+    /// Flags that do not go together.
+    pub fn check(&self, execution: &ExecutionArgs, ranks: usize) -> Result<(), Misuse> {
         if execution.workers() == 0 && (self.pin || self.faults.is_some()) {
             return Err(Misuse("--pin is for worker processes: see --workers".into()));
+        }
+        if execution.workers() > 0 && ranks > 1 {
+            return Err(Misuse("ranks have threads and no workers: leave out --workers".into()));
         }
         if cfg!(not(unix)) && execution.workers() > 0 {
             return Err(Misuse("there are no worker processes on this system".into()));
@@ -101,84 +113,118 @@ impl CarryArgs {
         Ok(())
     }
 
-    /// Carries a run out and writes its files.
+    /// Carries out the run that `prepare` gets ready, if it does, and writes its files; as one of
+    /// several ranks, if there are any.
     ///
     /// # Errors
-    /// Outputs that cannot be written, too little memory, workers that are lost.
-    pub fn carry_out(&self, ready: Ready, execution: &ExecutionArgs) -> anyhow::Result<ExitCode> {
-        let Ready { invocation, program, begin, existing, mut keeper } = ready;
-        let outputs = Outputs::of(&invocation.out);
-        let options = program.options.clone();
+    /// What `prepare` reports, outputs that cannot be written, too little memory, workers that are
+    /// lost.
+    pub fn run(
+        &self,
+        execution: &ExecutionArgs,
+        peers: Option<Arc<dyn Peers>>,
+        prepare: impl FnOnce() -> anyhow::Result<Option<Ready>>,
+    ) -> anyhow::Result<ExitCode> {
+        // One rank may have workers.
+        let Some(peers) = peers.filter(|_| execution.workers() == 0) else {
+            let Some(ready) = prepare()? else { return Ok(ExitCode::SUCCESS) };
+            let site = self.site(ready.program.team.threads, execution)?;
+            let (product, site, ready) = self.make_alone(ready, execution, site)?;
+            return finish(product, site, ready);
+        };
+        // The root says what went wrong while the others still wait for it.
+        let code = self.run_as_rank(&peers, execution, prepare);
+        let code = code.map_err(|error| match peers.rank() {
+            0 => ranks::tell(error),
+            _ => Told(super::exit_code(&error)),
+        });
+        // What the root still does needs the others' cores, not their company.
+        peers.rest();
+        Ok(code?)
+    }
+
+    /// Does what this rank has to do in a run. Whatever goes wrong, all ranks come to an end.
+    fn run_as_rank(
+        &self,
+        peers: &Arc<dyn Peers>,
+        execution: &ExecutionArgs,
+        prepare: impl FnOnce() -> anyhow::Result<Option<Ready>>,
+    ) -> anyhow::Result<ExitCode> {
+        match ranks::share(&**peers, execution.threads()?, prepare)? {
+            Prepared::Ended(code) => Ok(ExitCode::from(code)),
+            Prepared::Root(ready) => {
+                let keeps_whole = ready.invocation.integrands > 0;
+                let site = self.check_in(peers, &ready.program, execution, keeps_whole)?;
+                let (product, site, ready) = make_as_root(peers, *ready, site)?;
+                finish(product, site, ready)
+            }
+            Prepared::Other(program, begin) => {
+                let mut site = self.check_in(peers, &program, execution, false)?;
+                let Site { pool, simd, watch, .. } = &mut site;
+                let made = pool.install(|| {
+                    cluster::carry_out(&program, begin, *simd, Arc::clone(peers), watch, None)
+                })?;
+                made.gather(&mut |_| Ok(()))?;
+                Ok(ExitCode::SUCCESS)
+            }
+        }
+    }
+
+    /// What a run needs of this process, on all ranks or on none.
+    fn check_in(
+        &self,
+        peers: &Arc<dyn Peers>,
+        program: &Program,
+        execution: &ExecutionArgs,
+        keeps_whole: bool,
+    ) -> anyhow::Result<Site> {
+        let site = || {
+            memory::check_rank(program, keeps_whole)?;
+            let mut site = self.site(program.team.threads, execution)?;
+            if peers.rank() > 0 {
+                site.watch.bar = ProgressBar::hidden();
+            }
+            Ok(site)
+        };
+        ranks::agree(&**peers, site())
+    }
+
+    /// What a run needs of this process.
+    fn site(&self, threads: usize, execution: &ExecutionArgs) -> anyhow::Result<Site> {
         let signals = Signals::install().context("cannot listen for signals")?;
         let started = Instant::now();
-        let mut watch = Watch {
+        let watch = Watch {
             bar: progress_bar(),
             signals: signals.clone(),
             deadline: self.time.and_then(|time| started.checked_add(time)),
             phase: Phase::Start,
         };
-        let simd = execution.simd();
-        let pool = execution::pool(program.team.threads)?;
+        let pool = execution::pool(threads)?;
+        Ok(Site { pool, simd: execution.simd(), signals, started, watch })
+    }
+
+    /// Makes the tile by this process and its workers.
+    fn make_alone(
+        &self,
+        mut ready: Ready,
+        execution: &ExecutionArgs,
+        mut site: Site,
+    ) -> anyhow::Result<(Product, Site, Ready)> {
+        let Site { pool, simd, watch, .. } = &mut site;
+        let Ready { program, begin, keeper, .. } = &mut ready;
+        let begin = begin.take().expect("a run begins once");
         #[cfg(unix)]
-        let (tile, summary, crew) = if execution.workers() > 0 {
-            let options = self.crew(&keeper);
+        if execution.workers() > 0 {
+            let options = self.crew(keeper);
             // The workers end with the thread that starts them: this one.
-            let made =
-                crew::carry_out(&program, begin, simd, &options, &mut watch, Some(&mut keeper));
+            let made = crew::carry_out(program, begin, *simd, &options, watch, Some(keeper));
             let (tile, summary, crew) = made?;
-            (tile, summary, Some(crew))
-        } else {
-            let (tile, summary) = pool.install(|| {
-                phases::carry_out(&program, begin, simd, &mut watch, Some(&mut keeper))
-            })?;
-            (tile, summary, None)
-        };
-        #[cfg(not(unix))]
-        let (tile, summary) = pool
-            .install(|| phases::carry_out(&program, begin, simd, &mut watch, Some(&mut keeper)))?;
-        watch.bar.finish_and_clear();
-        let seconds = started.elapsed().as_secs_f64();
-        // A stopped run is to end soon, so it is not scored.
-        let score_options =
-            ScoreOptions { integrands: invocation.integrands, ..ScoreOptions::default() };
-        let scores = (invocation.integrands > 0 && signals.received().is_none())
-            .then(|| {
-                let taps = &program.kernel.classes()[0].taps;
-                pool.install(|| Scorer::new(options.shape, taps, score_options)?.score(&tile))
-            })
-            .transpose()?;
-        #[cfg(unix)]
-        let told = serde_json::json!({ "options": options, "summary": summary, "workers": crew });
-        #[cfg(not(unix))]
-        let told = serde_json::json!({ "options": options, "summary": summary });
-        let provenance = |sha256| Sidecar {
-            format: sidecar::FORMAT,
-            program: env!("CARGO_PKG_NAME").into(),
-            version: env!("CARGO_PKG_VERSION").into(),
-            command: command(&invocation.settings, &summary),
-            kernel: options.kernel.to_string(),
-            seed: options.seed,
-            shape: options.shape,
-            options: told,
-            created: sidecar::utc(SystemTime::now()),
-            seconds,
-            sha256,
-            scores: serde_json::json!(scores),
-        };
-        outputs.write(&tile, existing, provenance)?;
-        let mut text = report(&options, &summary, scores.as_ref(), &outputs, seconds);
-        #[cfg(unix)]
-        if let Some(crew) = &crew {
-            text += &crew_report(crew);
+            let who = Who::Crew(crew);
+            return Ok((Product { tile: TileIn::One(tile), summary, who }, site, ready));
         }
-        let stopped = matches!(summary.reason, StopReason::Interrupted | StopReason::Time);
-        if stopped && keeper.has_saved() {
-            text += &format!("to go on    perceptile resume {}\n", keeper.path().display());
-        } else if let Err(error) = keeper.remove() {
-            watch.tell(&format!("the run's folder is left: {error}"));
-        }
-        print(&text)?;
-        Ok(signals.received().map_or(ExitCode::SUCCESS, |code| ExitCode::from(code as u8)))
+        let made = pool.install(|| phases::carry_out(program, begin, *simd, watch, Some(keeper)));
+        let (tile, summary) = made?;
+        Ok((Product { tile: TileIn::One(tile), summary, who: Who::Alone }, site, ready))
     }
 
     #[cfg(unix)]
@@ -193,6 +239,154 @@ impl CarryArgs {
             folder: beside.unwrap_or(Path::new(".")).to_owned(),
         }
     }
+}
+
+/// What a run works with in this process.
+struct Site {
+    pool: ThreadPool,
+    simd: Simd,
+    signals: Signals,
+    started: Instant,
+    watch: Watch,
+}
+
+/// What a run has made.
+struct Product {
+    tile: TileIn,
+    summary: Summary,
+    who: Who,
+}
+
+/// Where a tile is.
+enum TileIn {
+    /// Here.
+    One(Tile),
+    /// On all ranks.
+    Regions(Box<cluster::Made>),
+}
+
+/// Who made it, besides the threads of this process.
+enum Who {
+    Alone,
+    #[cfg(unix)]
+    Crew(CrewSummary),
+    Ranks(RanksSummary),
+}
+
+/// Makes the tile as the root of several ranks.
+fn make_as_root(
+    peers: &Arc<dyn Peers>,
+    mut ready: Ready,
+    mut site: Site,
+) -> anyhow::Result<(Product, Site, Ready)> {
+    let Site { pool, simd, watch, .. } = &mut site;
+    let Ready { program, begin, keeper, .. } = &mut ready;
+    let begin = begin.take().expect("a run begins once");
+    let made = pool.install(|| {
+        cluster::carry_out(program, begin, *simd, Arc::clone(peers), watch, Some(keeper))
+    })?;
+    let (summary, who) = (made.summary.clone(), Who::Ranks(made.ranks.clone()));
+    Ok((Product { tile: TileIn::Regions(Box::new(made)), summary, who }, site, ready))
+}
+
+/// Scores a tile, writes the files of a run and tells of it.
+fn finish(product: Product, site: Site, ready: Ready) -> anyhow::Result<ExitCode> {
+    let Product { mut tile, summary, who } = product;
+    let Site { pool, signals, started, mut watch, .. } = site;
+    let Ready { invocation, program, existing, keeper, .. } = ready;
+    let options = &program.options;
+    let outputs = Outputs::of(&invocation.out);
+    watch.bar.finish_and_clear();
+    let seconds = started.elapsed().as_secs_f64();
+    // A stopped run is to end soon, so it is not scored.
+    let is_stopped = summary.reason == StopReason::Interrupted || signals.received().is_some();
+    let scores = if invocation.integrands > 0 && !is_stopped {
+        if let TileIn::Regions(made) = &tile {
+            tile = TileIn::One(whole(made, options.shape)?);
+        }
+        let score_options =
+            ScoreOptions { integrands: invocation.integrands, ..ScoreOptions::default() };
+        let taps = &program.kernel.classes()[0].taps;
+        match &tile {
+            TileIn::One(tile) => {
+                let scored =
+                    pool.install(|| Scorer::new(options.shape, taps, score_options)?.score(tile));
+                Some(scored?)
+            }
+            TileIn::Regions(_) => None,
+        }
+    } else {
+        None
+    };
+    let mut told = serde_json::json!({ "options": options, "summary": summary });
+    match &who {
+        Who::Alone => (),
+        #[cfg(unix)]
+        Who::Crew(crew) => told["workers"] = serde_json::json!(crew),
+        Who::Ranks(ranks) => told["ranks"] = serde_json::json!(ranks),
+    }
+    let provenance = |sha256| Sidecar {
+        format: sidecar::FORMAT,
+        program: env!("CARGO_PKG_NAME").into(),
+        version: env!("CARGO_PKG_VERSION").into(),
+        command: command(&invocation.settings, &summary),
+        kernel: options.kernel.to_string(),
+        seed: options.seed,
+        shape: options.shape,
+        options: told,
+        created: sidecar::utc(SystemTime::now()),
+        seconds,
+        sha256,
+        scores: serde_json::json!(scores),
+    };
+    match &tile {
+        TileIn::One(tile) => outputs.write(tile, existing, provenance)?,
+        TileIn::Regions(made) => {
+            let mut gathered = false;
+            let written = outputs.write_streamed(
+                options.shape,
+                existing,
+                &mut |put| {
+                    gathered = true;
+                    made.gather(put)
+                },
+                provenance,
+            );
+            // Others send their regions, wanted or not.
+            if !gathered {
+                made.gather(&mut |_| Ok(()))?;
+            }
+            written?;
+        }
+    }
+    let mut text = report(options, &summary, scores.as_ref(), &outputs, seconds);
+    match &who {
+        Who::Alone => (),
+        #[cfg(unix)]
+        Who::Crew(crew) => text += &crew_report(crew),
+        Who::Ranks(ranks) => text += &ranks_report(ranks),
+    }
+    let stopped = matches!(summary.reason, StopReason::Interrupted | StopReason::Time);
+    if stopped && keeper.has_saved() {
+        text += &format!("to go on    perceptile resume {}\n", keeper.path().display());
+    } else if let Err(error) = keeper.remove() {
+        watch.tell(&format!("the run's folder is left: {error}"));
+    }
+    print(&text)?;
+    // Another rank may have got the signal.
+    let interrupted = (summary.reason == StopReason::Interrupted).then_some(130);
+    let code = signals.received().or(interrupted);
+    Ok(code.map_or(ExitCode::SUCCESS, |code| ExitCode::from(code as u8)))
+}
+
+/// A tile put together from all ranks.
+fn whole(made: &cluster::Made, shape: TileShape) -> anyhow::Result<Tile> {
+    let mut samples = Vec::with_capacity(shape.coordinates());
+    made.gather(&mut |piece| {
+        samples.extend_from_slice(piece);
+        Ok(())
+    })?;
+    Ok(Tile::new(shape, samples)?)
 }
 
 /// The command that makes the same tile again.
@@ -334,6 +528,27 @@ fn crew_report(crew: &CrewSummary) -> String {
     if !crew.faults.is_empty() {
         let faults = crew.faults.iter().map(|(place, count)| format!("{place} {count}"));
         text += &format!("faults      {}\n", faults.collect::<Vec<String>>().join(", "));
+    }
+    text
+}
+
+/// What a run by several ranks prints besides.
+fn ranks_report(ranks: &RanksSummary) -> String {
+    let mut text = format!(
+        "ranks       {}, imbalance {:.2} (the longest work against the mean)\n",
+        ranks.ranks.len(),
+        ranks.imbalance
+    );
+    text += "                region   work s  waiting s  MB of halos\n";
+    for (rank, it) in ranks.ranks.iter().enumerate() {
+        let [width, height] = it.size;
+        text += &format!(
+            "  {rank:<8} {:>11} {:>8.1} {:>10.1} {:>12.1}\n",
+            format!("{width}x{height}"),
+            it.busy,
+            it.waiting,
+            it.traffic as f64 * 1e-6
+        );
     }
     text
 }

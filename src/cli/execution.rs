@@ -17,7 +17,7 @@ const MAX_ALL_THREADS: usize = 1 << 14;
 /// Threads, workers and instructions.
 #[derive(Debug, Args)]
 pub struct ExecutionArgs {
-    /// Threads of each worker or, without workers, of this process, at most 1024; 0 shares out
+    /// Threads of each worker or, without workers, of this process or rank, at most 1024; 0 shares out
     /// the cores
     #[arg(long, default_value_t = 0)]
     threads: usize,
@@ -71,13 +71,13 @@ impl ExecutionArgs {
         self.workers
     }
 
-    /// Who does the run.
+    /// Who does the run, as one of so many ranks.
     ///
     /// # Errors
     /// If that would be too many.
-    pub fn team(&self) -> Result<Team, Misuse> {
+    pub fn team(&self, regions: usize) -> Result<Team, Misuse> {
         let threads = self.threads()?;
-        Ok(Team { ranks: self.workers.max(1), threads, regions: 1, can_fail: self.workers > 0 })
+        Ok(Team { ranks: self.workers.max(1), threads, regions, can_fail: self.workers > 0 })
     }
 
     /// The instruction set on this machine.

@@ -9,6 +9,7 @@ mod export;
 mod kernel;
 mod optimize;
 mod profile;
+mod ranks;
 mod resume;
 mod settings;
 mod source;
@@ -65,18 +66,36 @@ struct Misuse(String);
 
 /// Runs the command that the process was started with.
 pub fn main() -> ExitCode {
-    let result = match Arguments::parse().command {
-        Command::Optimize(args) => optimize::run(*args),
-        Command::Resume(args) => resume::run(*args),
+    let launcher = ranks::launcher();
+    // Of ranks that are told the same, one answers.
+    let is_first = launcher.is_none_or(|launcher| launcher.rank == 0);
+    let command = match Arguments::try_parse() {
+        Ok(arguments) => arguments.command,
+        Err(error) if is_first => error.exit(),
+        Err(error) => {
+            ranks::let_first_speak();
+            return ExitCode::from(error.exit_code() as u8);
+        }
+    };
+    let alone = match &command {
+        Command::Optimize(_) | Command::Resume(_) | Command::Worker => Ok(()),
+        _ => ranks::check_alone(launcher, "only `optimize` and `resume` are for several"),
+    };
+    let result = alone.map_err(Into::into).and_then(|()| match command {
+        Command::Optimize(args) => optimize::run(*args, ranks::join(launcher)?),
+        Command::Resume(args) => resume::run(*args, ranks::join(launcher)?),
         Command::Evaluate(args) => evaluate::run(args).map(|()| ExitCode::SUCCESS),
         Command::Kernel(args) => kernel::run(args).map(|()| ExitCode::SUCCESS),
         Command::Export(args) => export::run(args).map(|()| ExitCode::SUCCESS),
         Command::Profile(args) => profile::run(*args).map(|()| ExitCode::SUCCESS),
         Command::Worker => work().map(|()| ExitCode::SUCCESS),
-    };
+    });
     result.unwrap_or_else(|error| {
-        eprintln!("error: {error:#}");
-        ExitCode::from(exit_code(&error))
+        if !is_first && !error.is::<ranks::Told>() {
+            ranks::let_first_speak();
+            return ExitCode::from(exit_code(&error));
+        }
+        ExitCode::from(ranks::tell(error).0)
     })
 }
 
@@ -105,6 +124,9 @@ fn print(text: &str) -> anyhow::Result<()> {
 
 /// The exit codes of failures, in one place.
 fn exit_code(error: &anyhow::Error) -> u8 {
+    if let Some(ranks::Told(code)) = error.downcast_ref() {
+        return *code;
+    }
     #[cfg(unix)]
     if let Some(error) = error.downcast_ref::<CrewError>() {
         return match error {

@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 use std::process::ExitCode;
+use std::sync::Arc;
 
 use clap::Args;
 use perceptile::format::source::TileSource;
@@ -12,7 +13,9 @@ use perceptile::run::keeper::Keeper;
 use perceptile::run::memory;
 use perceptile::run::outputs::Outputs;
 use perceptile::run::program::Program;
+use perceptile::solver::HaloTraffic;
 use perceptile::tile::Region;
+use perceptile_cluster::peers::Peers;
 
 use super::carry::{CarryArgs, Invocation, Ready};
 use super::execution::ExecutionArgs;
@@ -25,7 +28,8 @@ use super::settings::Settings;
 /// provenance and scores, and NAME.png, its first frame beside its XT slice. Without options it
 /// makes the best 64x64x16 tile that a minute of two cores allows. The same settings and seed
 /// give the same bytes on every machine and with any number of threads and workers. A run that
-/// takes longer than a minute keeps checkpoints in a folder, NAME.run, until it has ended.
+/// takes longer than a minute keeps checkpoints in a folder, NAME.run, until it has ended. Under
+/// mpirun or srun each rank makes a region of the tile; the first one reads and writes the files.
 #[derive(Debug, Args)]
 pub struct OptimizeArgs {
     #[command(flatten)]
@@ -66,35 +70,42 @@ pub struct OptimizeArgs {
 ///
 /// # Errors
 /// Wrong settings, outputs that exist or cannot be written, too little memory, lost workers.
-pub fn run(args: OptimizeArgs) -> anyhow::Result<ExitCode> {
+pub fn run(args: OptimizeArgs, peers: Option<Arc<dyn Peers>>) -> anyhow::Result<ExitCode> {
+    let ranks = peers.as_ref().map_or(1, |peers| peers.size());
+    args.carry.check(&args.execution, ranks)?;
+    args.carry.run(&args.execution, peers, || prepare(&args, ranks))
+}
+
+/// Gets the run ready, or says what it would do.
+fn prepare(args: &OptimizeArgs, ranks: usize) -> anyhow::Result<Option<Ready>> {
     let settings = match &args.config {
         Some(path) => args.settings.clone().or(Settings::read(path)?),
         None => args.settings.clone(),
     };
     let (options, start) = settings.clone().options()?;
-    args.carry.check(&args.execution)?;
-    let program = Program::new(&options, args.execution.team()?)?;
+    let program = Program::new(&options, args.execution.team(ranks)?)?;
     if args.integrands > 0 {
         let score_options = ScoreOptions { integrands: args.integrands, ..Default::default() };
         score_options.validate()?;
     }
-    memory::check(&program)?;
+    if ranks == 1 {
+        memory::check(&program)?;
+    }
     program.check_batch()?;
     if args.dry_run {
         print(&plan(&program))?;
-        return Ok(ExitCode::SUCCESS);
+        return Ok(None);
     }
     let existing = Existing::from_force(args.force);
     Outputs::of(&args.out).probe(existing)?;
     let start = start.map(|path| TileSource::new(path).read()).transpose()?;
     let begin = Begin::new(&program, start.as_ref())?;
     drop(start);
-    let folder = args.run_dir.unwrap_or_else(|| args.out.with_extension("run"));
-    let invocation = Invocation { settings, out: args.out, integrands: args.integrands };
+    let folder = args.run_dir.clone().unwrap_or_else(|| args.out.with_extension("run"));
+    let invocation = Invocation { settings, out: args.out.clone(), integrands: args.integrands };
     let kept = serde_json::to_string(&invocation)?;
     let keeper = Keeper::new(&folder, args.carry.checkpoint(), existing, kept)?;
-    let ready = Ready { invocation, program, begin, existing, keeper };
-    args.carry.carry_out(ready, &args.execution)
+    Ok(Some(Ready { invocation, program, begin: Some(begin), existing, keeper }))
 }
 
 /// What `--dry-run` prints.
@@ -113,6 +124,21 @@ fn plan(program: &Program) -> String {
         line(format!(
             "  shared    {} MB",
             program.storage(Region::whole(options.shape)).bytes() >> 20
+        ));
+    }
+    if program.team.regions > 1 {
+        let reach = program.partition().reach();
+        let regions = program.regions(0);
+        let traffic = HaloTraffic::of(&regions, reach);
+        let place = regions.own().place();
+        line(format!(
+            "ranks       {} with regions such as {}x{}",
+            program.team.regions, place.width, place.height
+        ));
+        line(format!(
+            "halo        {:.1} KB in {} messages from the first rank in each step",
+            traffic.bytes as f64 * 1e-3,
+            traffic.messages
         ));
     }
     line(format!("tile file   {:.1} MB", (options.shape.coordinates() * 4) as f64 / 1e6));

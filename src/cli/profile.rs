@@ -85,7 +85,7 @@ pub fn run(args: ProfileArgs) -> anyhow::Result<()> {
     options.polish.steps = 0;
     options.start = Start::Random;
     let threads = args.execution.threads()?;
-    let program = Program::new(&options, args.execution.team()?)?;
+    let program = Program::new(&options, args.execution.team(1)?)?;
     memory::check(&program)?;
     program.check_batch()?;
     let subject = Subject::new(&options, &program.kernel, threads)?;

@@ -44,7 +44,20 @@ pub fn foreseen(program: &Program) -> u64 {
 /// # Errors
 /// If it does not. Where the system does not say what is free, every run fits.
 pub fn check(program: &Program) -> Result<(), MemoryError> {
-    let needed = foreseen(program);
+    compare(foreseen(program))
+}
+
+/// Whether a rank's share of a run fits into the memory that is free where it is; and the whole
+/// tile, twice, if that is to be put together there.
+///
+/// # Errors
+/// If it does not. Where the system does not say what is free, every run fits.
+pub fn check_rank(program: &Program, keeps_whole: bool) -> Result<(), MemoryError> {
+    let tile = (program.options.shape.coordinates() * size_of::<f32>()) as u64;
+    compare(foreseen(program).saturating_add(if keeps_whole { 2 * tile } else { 0 }))
+}
+
+fn compare(needed: u64) -> Result<(), MemoryError> {
     match free() {
         Some(free) if needed > free => Err(MemoryError { needed, free }),
         _ => Ok(()),

@@ -5,8 +5,12 @@ mod command;
 mod determinism;
 mod format;
 mod gradient;
+#[cfg(target_os = "linux")]
+mod launcher;
 mod metric;
 mod profile;
+#[cfg(all(target_os = "linux", feature = "mpi"))]
+mod ranks;
 #[cfg(target_os = "linux")]
 mod resume;
 mod solver;

@@ -1,0 +1,199 @@
+//! Runs by the ranks of a cluster: the tile is that of one process, however many there are and
+//! whatever happens to them. Needs `mpirun`; ranks share the cores of this machine.
+
+use std::process::{Command, Stdio};
+use std::thread::sleep;
+use std::time::{Duration, Instant};
+
+use perceptile::kernel::KernelSpec;
+use perceptile::run::program::Program;
+use perceptile::solver::{HaloTraffic, Options, Preset, Team};
+use perceptile::tile::TileShape;
+use rustix::process::Signal;
+
+use crate::tool::{Ended, PROGRAM, Room, Run, send};
+
+/// What the tiles of tests have in common.
+const PLAIN: &str = "optimize --integrands 0 --force --seed 7";
+
+/// A run with time to be ended in its descent or its polish.
+const LASTING: &str = "--tile 37x66x8 --start random --steps 900 --draws 500 --polish 300 \
+                       --warp 20 --kernel gaussian(1)*ema(0.5)@3x3x4";
+
+/// Starts this program on so many ranks.
+fn start(room: &Room, ranks: usize, line: &str) -> Run {
+    let mut command = Command::new("mpirun");
+    command.args(["--allow-run-as-root", "--oversubscribe", "--bind-to", "none"]);
+    command.args(["--mca", "mpi_yield_when_idle", "1", "-n", &ranks.to_string(), PROGRAM]);
+    command.args(line.split_whitespace()).stdin(Stdio::null());
+    room.start_as(command, &format!("{ranks} ranks: {line}"))
+}
+
+fn run(room: &Room, ranks: usize, line: &str) -> Ended {
+    start(room, ranks, line).end()
+}
+
+/// Makes a tile by one process, and checks that all numbers of ranks make its bytes.
+fn ranks_make_one_tile(case: &str) {
+    let room = Room::new();
+    let line = format!("{PLAIN} {case}");
+    let expected = room.make(&format!("{line} --threads 2"));
+    for ranks in [1, 2, 3, 4, 7] {
+        for threads in [1, 2] {
+            std::fs::remove_file(room.at("tile.npy")).unwrap();
+            run(&room, ranks, &format!("{line} --threads {threads}")).succeeded();
+            assert!(room.read("tile.npy") == expected, "{case}: {ranks} ranks, {threads} threads");
+        }
+    }
+}
+
+#[test]
+fn ranks_leave_no_trace() {
+    for case in [
+        // Kernels with signs, over columns, and mixtures; more samples and dimensions; sizes that
+        // nothing divides; kernels wider than regions.
+        "--tile 64x64x8 --kernel 0.9:gaussian(2.1)*fovvideovdp(60)@7x7x8+0.1:column --polish 3",
+        "--tile 61x50x5 --spp 3 --dims 3 --kernel gaussian(1.5)*ema(0.4)@5x5x4 --polish 2 \
+         --start stratified",
+        "--tile 131x70x3 --spp 2 --dims 1 --kernel gaussian(1)*gaussian_t(0.7)@17x5x3 --polish 2",
+        "--tile 96x48x4 --kernel gaussian(2)@9x9x1 --polish 0 --stop-after 10",
+    ] {
+        ranks_make_one_tile(&format!("{case} --steps 40 --draws 300 --warp 10 --directions 2"));
+    }
+}
+
+#[test]
+fn halos_are_what_the_formula_says() {
+    const STEPS: u32 = 5;
+    let shape = TileShape::new(128, 128, 30, 1, 2).unwrap();
+    let text = "gaussian(2.1) * fovvideovdp(60) @ 7x7x8";
+    let kernel: KernelSpec = text.parse().unwrap();
+    let options = Options { shape, kernel, ..Preset::Paper.options() };
+    let room = Room::new();
+    for ranks in [2, 4, 8] {
+        let team = Team { regions: ranks, ..Team::alone() };
+        let program = Program::new(&options, team).unwrap();
+        let reach = program.partition().reach();
+        // By hand for two ranks: 3 lines above and below of 64 and more, and the copies at the sides.
+        if ranks == 2 {
+            let lines = 2 * 3 * (128 + 2 * 3) * 30 * 2 * 4;
+            let bytes = HaloTraffic::of(&program.regions(0), reach).bytes;
+            assert_eq!(bytes, 2 * lines);
+        }
+        let words: String = text.split(' ').collect();
+        let line = format!(
+            "{PLAIN} --preset paper --kernel {words} --steps {STEPS} --polish 0 --warp 0 --threads 1"
+        );
+        run(&room, ranks, &line).succeeded();
+        let told = room.sidecar().options;
+        let all = told["ranks"]["ranks"].as_array().unwrap();
+        assert_eq!(all.len(), ranks);
+        let all_reduce = 2 * (ranks as u64 - 1) * 4 * shape.coordinates() as u64 / ranks as u64;
+        let mut sent = 0;
+        let mut received = 0;
+        for (rank, told) in all.iter().enumerate() {
+            let traffic = HaloTraffic::of(&program.regions(rank), reach).bytes;
+            assert!(5 * traffic < all_reduce, "{ranks} ranks: {traffic} of {all_reduce}");
+            sent += u64::from(STEPS) * traffic;
+            received += told["traffic"].as_u64().unwrap();
+        }
+        assert_eq!(sent, received, "{ranks} ranks");
+    }
+}
+
+#[test]
+fn a_killed_rank_ends_the_job_and_others_go_on() {
+    let room = Room::new();
+    let line = format!("{PLAIN} {LASTING}");
+    let expected = room.make(&format!("{line} --threads 2"));
+    for (ranks, after, next) in [(3, 200, 2), (2, 1000, 4)] {
+        std::fs::remove_file(room.at("tile.npy")).unwrap();
+        let keeps = format!("{line} --threads 1 --checkpoint 100steps");
+        let mut job = start(&room, ranks, &keeps);
+        job.until_checkpoint(&room, "tile.run", after);
+        assert!(!job.is_over(), "the run is too short");
+        let killed = Instant::now();
+        send(*job.workers().last().unwrap(), Signal::KILL);
+        let ended = job.end();
+        assert!(killed.elapsed() < Duration::from_secs(5), "{:?}", killed.elapsed());
+        assert!(!ended.status.success(), "{ended:?}");
+        assert!(!room.at("tile.npy").exists());
+        run(&room, next, "resume tile.run --force --threads 1").succeeded();
+        assert!(room.read("tile.npy") == expected, "{ranks} ranks, then {next}");
+    }
+}
+
+#[test]
+fn stopped_ranks_leave_a_tile_and_a_checkpoint_that_anyone_goes_on_from() {
+    let room = Room::new();
+    let line = format!("{PLAIN} {LASTING}");
+    let expected = room.make(&format!("{line} --threads 2"));
+    let stopped = run(&room, 3, &format!("{line} --threads 1 --time 0.3s")).succeeded();
+    assert!(stopped.out.contains("time is up"), "{stopped:?}");
+    assert!(room.read("tile.npy") != expected);
+    run(&room, 1, "resume tile.run --force --workers 2 --threads 1").succeeded();
+    assert!(room.read("tile.npy") == expected);
+
+    // And the other way round.
+    room.run(&format!("{line} --threads 1 --time 0.3s")).succeeded();
+    run(&room, 4, "resume tile.run --force --threads 1").succeeded();
+    assert!(room.read("tile.npy") == expected);
+    assert!(room.names("").iter().all(|name| name.starts_with("tile.")));
+    assert!(!room.at("tile.run").exists());
+}
+
+#[test]
+fn a_tile_to_start_from_is_shared_out() {
+    let room = Room::new();
+    let make =
+        "--tile 64x40x4 --kernel gaussian(1)@3x3x2 --steps 20 --draws 200 --polish 0 --warp 3";
+    room.make(&format!("{PLAIN} {make}"));
+    std::fs::rename(room.at("tile.npy"), room.at("start.npy")).unwrap();
+    let line = format!("{PLAIN} {make} --start start.npy");
+    let expected = room.make(&format!("{line} --threads 2"));
+    std::fs::remove_file(room.at("tile.npy")).unwrap();
+    run(&room, 3, &line).succeeded();
+    assert!(room.read("tile.npy") == expected);
+}
+
+#[test]
+fn what_is_wrong_is_said_once_by_the_first_rank() {
+    let room = Room::new();
+    let once = |ended: &Ended, words: &str| {
+        assert_eq!(ended.error.matches("error:").count(), 1, "{ended:?}");
+        assert!(ended.error.contains(words), "{ended:?}");
+    };
+    let small = "--tile 32x32x2 --kernel gaussian(1)@3x3x1 --steps 5 --polish 0 --warp 0";
+    for (line, code, words) in [
+        (format!("{PLAIN} --tile 64x64x0"), 2, "frames"),
+        (format!("{PLAIN} {small}"), 2, "5 ranks are too many"),
+        (format!("{PLAIN} --no-such-flag"), 2, "--no-such-flag"),
+        (format!("{PLAIN} --workers 2"), 2, "--workers"),
+        ("resume nowhere.run".into(), 1, "nowhere.run"),
+        (format!("{PLAIN} --out no/such/folder.npy"), 1, "no/such"),
+        ("evaluate tile.npy --kernel gaussian(1)@3x3x1".into(), 2, "only `optimize` and `resume`"),
+    ] {
+        let ended = run(&room, 5, &line);
+        assert_eq!(ended.code(), Some(code), "{ended:?}");
+        once(&ended, words);
+    }
+    room.make(&format!("{PLAIN} {small}"));
+    let ended = run(&room, 2, &format!("optimize {small}"));
+    assert_eq!(ended.code(), Some(3), "{ended:?}");
+    once(&ended, "--force");
+}
+
+#[test]
+fn an_output_that_cannot_be_written_in_the_end_hangs_nobody() {
+    let room = Room::new();
+    std::fs::create_dir(room.at("sub")).unwrap();
+    let line = "optimize --out sub/tile.npy --integrands 0 --tile 64x64x8 --steps 4000000 --time 2s \
+                --threads 1 --kernel gaussian(1)@3x3x1";
+    let mut job = start(&room, 3, line);
+    job.until("at work", |job| job.workers().len() == 3);
+    sleep(Duration::from_secs(1));
+    std::fs::remove_dir_all(room.at("sub")).unwrap();
+    let failed = job.end();
+    assert_eq!(failed.code(), Some(1), "{failed:?}");
+    assert!(failed.error.contains("sub"), "{failed:?}");
+}
