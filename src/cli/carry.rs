@@ -539,15 +539,16 @@ fn ranks_report(ranks: &RanksSummary) -> String {
         ranks.ranks.len(),
         ranks.imbalance
     );
-    text += "                region   work s  waiting s  MB of halos\n";
+    text += "                region   work s  waiting s  MB of halos  peak MB\n";
     for (rank, it) in ranks.ranks.iter().enumerate() {
         let [width, height] = it.size;
         text += &format!(
-            "  {rank:<8} {:>11} {:>8.1} {:>10.1} {:>12.1}\n",
+            "  {rank:<8} {:>11} {:>8.1} {:>10.1} {:>12.1} {:>8.0}\n",
             format!("{width}x{height}"),
             it.busy,
             it.waiting,
-            it.traffic as f64 * 1e-6
+            it.traffic as f64 * 1e-6,
+            it.peak as f64 * 1e-6
         );
     }
     text

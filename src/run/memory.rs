@@ -66,7 +66,17 @@ fn compare(needed: u64) -> Result<(), MemoryError> {
 
 /// Bytes that programs can have without swapping, where the system tells (Linux).
 pub fn free() -> Option<u64> {
-    let text = std::fs::read_to_string("/proc/meminfo").ok()?;
-    let line = text.lines().find_map(|line| line.strip_prefix("MemAvailable:"))?;
+    field("/proc/meminfo", "MemAvailable:")
+}
+
+/// The most memory that this process has had so far, where the system tells (Linux).
+pub fn peak() -> Option<u64> {
+    field("/proc/self/status", "VmHWM:")
+}
+
+/// Bytes of a field of a file that has one on each line.
+fn field(path: &str, name: &str) -> Option<u64> {
+    let text = std::fs::read_to_string(path).ok()?;
+    let line = text.lines().find_map(|line| line.strip_prefix(name))?;
     line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok()?.checked_mul(1024)
 }

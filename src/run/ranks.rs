@@ -20,6 +20,7 @@ use crate::format::numbers::Put;
 use crate::gradient::simd::Simd;
 use crate::run::begin::Begin;
 use crate::run::keeper::Keeper;
+use crate::run::memory;
 use crate::run::observer::Observer;
 use crate::run::phases::{Clock, progress, summary};
 use crate::run::program::{Abandoned, Position, Program, ProgramError, Watch};
@@ -47,6 +48,8 @@ pub struct RankSummary {
     pub waiting: f64,
     /// Bytes of halos that came from others.
     pub traffic: u64,
+    /// The most memory that it had, in bytes; 0 where the system does not tell.
+    pub peak: u64,
 }
 
 /// A tile in regions.
@@ -125,12 +128,13 @@ fn all_ranks(peers: &dyn Peers, record: &Record) -> Recorded {
 /// What the counters of all ranks say.
 fn ranks_summary(world: &World, regions: &Regions) -> RanksSummary {
     const COUNTERS: [Counter; 3] = [Counter::Busy, Counter::Waiting, Counter::Traffic];
+    const FIELDS: usize = COUNTERS.len() + 1;
     let peers = world.peers();
-    let mut counts = vec![0; peers.size() * COUNTERS.len()];
-    for (k, counter) in COUNTERS.into_iter().enumerate() {
-        let count = world.board().counter(0, counter).load(Ordering::Relaxed);
-        counts[peers.rank() * COUNTERS.len() + k] = count as i64;
-    }
+    let count = |counter| world.board().counter(0, counter).load(Ordering::Relaxed);
+    let own = COUNTERS.map(count).into_iter().chain([memory::peak().unwrap_or(0)]);
+    let mut counts = vec![0; peers.size() * FIELDS];
+    let place = &mut counts[peers.rank() * FIELDS..];
+    place.iter_mut().zip(own).for_each(|(place, value)| *place = value as i64);
     peers.sum(&mut counts);
     let rank = |(region, counts): (&crate::tile::Region, &[i64])| {
         let Place { width, height, .. } = region.place();
@@ -139,10 +143,10 @@ fn ranks_summary(world: &World, regions: &Regions) -> RanksSummary {
             busy: counts[0] as f64 * 1e-9,
             waiting: counts[1] as f64 * 1e-9,
             traffic: counts[2] as u64,
+            peak: counts[3] as u64,
         }
     };
-    let ranks: Vec<_> =
-        regions.all().iter().zip(counts.chunks_exact(COUNTERS.len())).map(rank).collect();
+    let ranks: Vec<_> = regions.all().iter().zip(counts.chunks_exact(FIELDS)).map(rank).collect();
     let mean = ranks.iter().map(|rank| rank.busy).sum::<f64>() / ranks.len() as f64;
     let most = ranks.iter().map(|rank| rank.busy).fold(0.0, f64::max);
     RanksSummary { ranks, imbalance: if mean > 0.0 { most / mean } else { 1.0 } }

@@ -197,3 +197,40 @@ fn an_output_that_cannot_be_written_in_the_end_hangs_nobody() {
     assert_eq!(failed.code(), Some(1), "{failed:?}");
     assert!(failed.error.contains("sub"), "{failed:?}");
 }
+
+/// The tile on two hosts, which is that of one, and what crosses the link between them.
+#[test]
+fn only_halos_and_the_tile_cross_the_link_between_two_hosts() {
+    const STEPS: u32 = 60;
+    let room = Room::new();
+    let line = format!(
+        "{PLAIN} --tile 128x128x16 --kernel gaussian(2.1)*fovvideovdp(60)@7x7x8 --steps {STEPS} \
+         --draws 1000 --polish 0 --warp 0 --threads 1"
+    );
+    let expected = room.make(&line);
+    std::fs::remove_file(room.at("tile.npy")).unwrap();
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/two_hosts.sh");
+    let mut command = Command::new(script);
+    command.args(["--count", "bytes.txt", "2", PROGRAM]).args(line.split_whitespace());
+    let ended = room.start_as(command, "two hosts").end();
+    if ended.code() == Some(77) {
+        println!("skipped: {}", ended.error.trim());
+        return;
+    }
+    assert!(ended.status.success(), "{ended:?}");
+    assert!(room.read("tile.npy") == expected);
+    let told = room.sidecar().options;
+    let halos: u64 = told["ranks"]["ranks"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|rank| rank["traffic"].as_u64().unwrap())
+        .sum();
+    let half = (expected.len() / 2) as u64;
+    let crossed = String::from_utf8(room.read("bytes.txt")).unwrap();
+    let crossed: u64 = crossed.trim().parse().unwrap();
+    let payload = halos + half;
+    // The headers of TCP and Ethernet, of Open MPI, and its own talk at the start.
+    let most = payload + payload / 30 + 200_000;
+    assert!((payload..most).contains(&crossed), "{crossed} bytes of {payload}");
+}
