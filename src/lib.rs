@@ -19,7 +19,8 @@
 //! first, the draws of every block of cells read the samples in their rows and fill a private
 //! integer patch; in the second, patches add up line by line, and Adam moves the samples of the
 //! line. Both are rounds of jobs, which threads of this process or worker processes take from one
-//! board ([`perceptile_cluster`]). Why it is fast is told where it is done: rows in [`tile::Rows`], the stages of a draw in
+//! board ([`perceptile_cluster`]). On a cluster each rank does so with a region of the tile
+//! ([`tile::Regions`]), and what regions see of each other travels between them. Why it is fast is told where it is done: rows in [`tile::Rows`], the stages of a draw in
 //! [`gradient`], sorting and transpositions in [`gradient::simd`], pages of memory in the solver;
 //! [`profile`] shows what comes of it.
 //!

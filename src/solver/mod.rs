@@ -4,7 +4,8 @@
 //! step at a time, with [`adam`]; [`polish`] goes beyond it; [`warp`] makes the tile uniform. All
 //! of them are rounds of jobs on a [`Storage`] that the ranks of a world share, numbered by
 //! [`rounds`]; the loop knows neither files nor screen. Phases hand samples on in line order
-//! ([`Samples`]).
+//! ([`Samples`]). Worlds that share no memory have a region of the tile each, and send each other
+//! halos.
 
 pub mod adam;
 mod halo;

@@ -194,7 +194,11 @@ fn workers_that_others_kill_or_stop_leave_no_trace() {
     let room = Room::new();
     let mut random = Random(3);
     let mut losses = Losses::default();
-    for case in [EVENTFUL, MANY, LASTING] {
+    // Whom chance picks, and whether it is missed before the run ends, is not for the test to say.
+    for (done, case) in [EVENTFUL, MANY, LASTING].into_iter().cycle().take(30).enumerate() {
+        if done >= 3 && losses.killed >= 10 && losses.silent > 0 {
+            break;
+        }
         let line = format!("{PLAIN} {case}");
         let expected = room.make(&format!("{line} --threads 1"));
         for crew in ["--workers 4 --threads 1", "--workers 3 --threads 2"] {
