@@ -11,6 +11,7 @@
 //!        all of it ──► report: the profile, a table ──► advice: what to do about it
 //!                                                   ──► picture: an SVG
 //!                      trace: who did what when, for a viewer
+//!  scaling: costs of this machine, and what they come to on a cluster
 //! ```
 //!
 //! The tools (`cache`, `counters`, `machine`, `roofline`, `trace`) know nothing of tiles or
@@ -28,6 +29,7 @@ pub mod measure;
 pub mod picture;
 pub mod report;
 pub mod roofline;
+pub mod scaling;
 pub mod spans;
 pub mod stages;
 pub mod subject;

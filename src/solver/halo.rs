@@ -137,7 +137,7 @@ impl Words {
 }
 
 /// Rows that a thread packs at a time: fewer are not worth a thread.
-const ROWS_AT_A_TIME: usize = 64;
+pub(crate) const ROWS_AT_A_TIME: usize = 64;
 
 /// The other side does not panic while it holds the lock.
 const HELD: &str = "nobody panics with a transfer";
