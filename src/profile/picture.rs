@@ -19,7 +19,7 @@ const REUSE: u32 = 380;
 const MARGIN: i32 = 30;
 
 /// One colour for each stage (Okabe and Ito, for all eyes), and grey for waiting.
-const COLOURS: [RGBColor; 9] = [
+pub(super) const COLOURS: [RGBColor; 9] = [
     RGBColor(230, 159, 0),
     RGBColor(86, 180, 233),
     RGBColor(0, 158, 115),
@@ -31,7 +31,8 @@ const COLOURS: [RGBColor; 9] = [
     RGBColor(190, 190, 190),
 ];
 
-type Error = DrawingAreaErrorKind<Infallible>;
+/// Why nothing is drawn.
+pub(super) type PictureError = DrawingAreaErrorKind<Infallible>;
 
 /// Draws the profile.
 ///
@@ -57,7 +58,9 @@ pub fn svg(profile: &Profile) -> String {
 }
 
 /// The errors of a picture in memory carry no more than their kind.
-fn erase<E: std::error::Error + Send + Sync>(error: DrawingAreaErrorKind<E>) -> Error {
+pub(super) fn erase<E: std::error::Error + Send + Sync>(
+    error: DrawingAreaErrorKind<E>,
+) -> PictureError {
     match error {
         DrawingAreaErrorKind::LayoutError => DrawingAreaErrorKind::LayoutError,
         _ => DrawingAreaErrorKind::SharingError,
@@ -65,7 +68,7 @@ fn erase<E: std::error::Error + Send + Sync>(error: DrawingAreaErrorKind<E>) -> 
 }
 
 /// The shares of the stages as one bar, with a legend.
-fn stages(profile: &Profile, area: &DrawingArea<SVGBackend, Shift>) -> Result<(), Error> {
+fn stages(profile: &Profile, area: &DrawingArea<SVGBackend, Shift>) -> Result<(), PictureError> {
     let title = format!(
         "{}, {} draws a step: {:.3} ms, threads: {}",
         profile.shape,
@@ -93,7 +96,7 @@ fn stages(profile: &Profile, area: &DrawingArea<SVGBackend, Shift>) -> Result<()
 }
 
 /// Operations per second over operations per byte, both logarithmic.
-fn roofs(profile: &Profile, area: &DrawingArea<SVGBackend, Shift>) -> Result<(), Error> {
+fn roofs(profile: &Profile, area: &DrawingArea<SVGBackend, Shift>) -> Result<(), PictureError> {
     const INTENSITY: (f64, f64) = (0.02, 20.0);
     let compute = profile.rates.compute / 1e9;
     let points = profile.stages.iter().zip(COLOURS).filter_map(|(row, colour)| {
@@ -154,7 +157,7 @@ fn roofs(profile: &Profile, area: &DrawingArea<SVGBackend, Shift>) -> Result<(),
 }
 
 /// Shares of uses of lines by their distance, with the caches' sizes.
-fn distances(profile: &Profile, area: &DrawingArea<SVGBackend, Shift>) -> Result<(), Error> {
+fn distances(profile: &Profile, area: &DrawingArea<SVGBackend, Shift>) -> Result<(), PictureError> {
     let of = |order| profile.behaviour(Arrangement::Rows, order);
     let (Some(sorted), Some(unsorted)) = (of(Order::Sorted), of(Order::Unsorted)) else {
         return Ok(());

@@ -40,6 +40,10 @@
 //! while threads work and all ranks send at once, that cores of the cluster are like those of this
 //! machine, and that nobody is late by chance. All of that makes it optimistic.
 
+pub mod costs;
+pub mod picture;
+pub mod report;
+
 use serde::Serialize;
 
 use super::subject::WORD;

@@ -21,7 +21,7 @@ mod summary;
 pub mod warp;
 
 pub use halo::HaloTraffic;
-pub(crate) use halo::ROWS_AT_A_TIME;
+pub(crate) use halo::{GradientHalo, ROWS_AT_A_TIME, SampleHalo};
 pub use options::{MAX_POLISH_TAPS, Options, OptionsError, Preset, Start};
 pub use samples::Samples;
 pub(crate) use samples::tile_of;
