@@ -1,5 +1,7 @@
 //! `perceptile profile`: where time and memory traffic of a run's descent go.
 
+mod scaling;
+
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -24,6 +26,7 @@ use perceptile::solver::Start;
 use super::execution::{self, ExecutionArgs};
 use super::print;
 use super::settings::Settings;
+use scaling::{Manner, ScalingArgs};
 
 /// Show where time and memory traffic of a run go
 ///
@@ -34,6 +37,9 @@ use super::settings::Settings;
 /// counts, where it is allowed to tell; and what to do about all that. With workers, also what each of them
 /// does, what it waits for and reads of others, and what it costs them to go in step. Writes no
 /// tile.
+///
+/// With --scaling, measures what the parts of a step cost here, and predicts from them what a
+/// cluster makes of it.
 #[derive(Debug, Args)]
 pub struct ProfileArgs {
     #[command(flatten)]
@@ -51,8 +57,8 @@ pub struct ProfileArgs {
     #[arg(long, value_name = "JSON")]
     trace: Option<PathBuf>,
 
-    /// Draw stages, roofline and reuse of cache lines
-    #[arg(long, value_name = "SVG")]
+    /// Draw stages, roofline and reuse of cache lines; or the speed-up by more ranks
+    #[arg(long, value_name = "SVG", visible_alias = "picture")]
     svg: Option<PathBuf>,
 
     /// Seconds for each measurement, 0.01 to 600
@@ -65,6 +71,9 @@ pub struct ProfileArgs {
 
     #[command(flatten)]
     execution: ExecutionArgs,
+
+    #[command(flatten)]
+    scaling: ScalingArgs,
 }
 
 /// Most events of a trace: some ten megabytes.
@@ -79,17 +88,29 @@ pub fn run(args: ProfileArgs) -> anyhow::Result<()> {
         Some(path) => args.settings.or(Settings::read(path)?),
         None => args.settings,
     };
+    let nothing_set = settings == Settings::default();
     let (mut options, _) = settings.options()?;
     options.validate()?;
     // Only the descent is looked at, from a random start.
     options.polish.steps = 0;
     options.start = Start::Random;
     let threads = args.execution.threads()?;
+    let existing = Existing::from_force(args.force);
+    if args.scaling.scaling {
+        let manner = Manner {
+            simd: args.execution.simd(),
+            threads,
+            measure: args.measure,
+            json: args.json,
+            svg: args.svg.as_deref(),
+            existing,
+        };
+        return scaling::run(&args.scaling, (!nothing_set).then_some(options), &manner);
+    }
     let program = Program::new(&options, args.execution.team(1)?)?;
     memory::check(&program)?;
     program.check_batch()?;
     let subject = Subject::new(&options, &program.kernel, threads)?;
-    let existing = Existing::from_force(args.force);
     write::probe(args.trace.iter().chain(&args.svg), existing)?;
     let simd = args.execution.simd();
     let machine = Machine::detect();

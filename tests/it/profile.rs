@@ -220,3 +220,50 @@ fn traffic_is_what_loops_over_pixels_and_patches_move() {
     assert_eq!(traffic[Stage::Adam as usize].operations, 16.0 * all);
     assert_eq!(bytes(Stage::Waiting), 0.0);
 }
+
+#[test]
+fn scaling_shows_tables_up_to_the_last_cell_and_a_picture() {
+    let folder = TempDir::new().unwrap();
+    let picture = folder.path().join("scaling.svg");
+    let run = |arguments: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_perceptile"));
+        command.args(["profile", "--scaling", "--measure", "0.01", "--threads", "1"]);
+        command.args(["--tile", "64x32x8", "--kernel", "gaussian(1) @ 5x5x4", "--draws", "100"]);
+        command.args(["--most-ranks", "16"]).args(arguments).output().unwrap()
+    };
+    let out = run(&["--json", "--rank-threads", "1", "--picture", picture.to_str().unwrap()]);
+    assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+    let found: Value = serde_json::from_slice(&out.stdout).unwrap();
+    assert_eq!(found["tiles"].as_array().unwrap().len(), 1);
+    let tile = &found["tiles"][0];
+    for cost in ["sample", "coordinate", "patch_word", "packed_byte", "unpacked_byte", "round"] {
+        let cost = tile["measured"]["costs"][cost].as_f64().unwrap();
+        assert!(cost > 0.0 && cost < 1e-3, "{cost}");
+    }
+    let rows = |table: &str| tile[table]["rows"].as_array().unwrap().clone();
+    let ranks: Vec<u64> = rows("strong").iter().map(|row| row["ranks"].as_u64().unwrap()).collect();
+    assert_eq!(ranks, [1, 2, 4, 8, 16]);
+    // Eight cells.
+    assert!(rows("strong")[..4].iter().all(|row| row["step"]["seconds"].as_f64().unwrap() > 0.0));
+    assert_eq!(
+        (&rows("strong")[4]["step"], &rows("strong")[4]["cells"]),
+        (&Value::Null, &8.into())
+    );
+    let cores = std::thread::available_parallelism().unwrap().get() as u64;
+    for row in rows("strong") {
+        assert_eq!(row["extrapolated"], row["ranks"].as_u64().unwrap() > cores);
+    }
+    let last = &rows("weak")[4];
+    assert_eq!((&last["shape"]["width"], &last["shape"]["height"]), (&256.into(), &128.into()));
+    assert_eq!(last["step"]["region"], serde_json::json!([64, 32]));
+    let picture = std::fs::read_to_string(picture).unwrap();
+    assert!(picture.contains("64x32x8") && picture.contains("ideal"));
+
+    let text = String::from_utf8(run(&["--latency", "5us"]).stdout).unwrap();
+    for part in ["messages of 5.00 us", "16 threads", "no more cells", "Stops at its 8 cells"] {
+        assert!(text.contains(part), "{part} in {text}");
+    }
+    for wrong in [["--bandwidth", "12"], ["--workers", "2"], ["--trace", "trace.json"]] {
+        assert_eq!(run(&wrong).status.code(), Some(2), "{wrong:?}");
+    }
+}
