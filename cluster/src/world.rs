@@ -7,7 +7,7 @@
 
 use std::ops::Range;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Instant;
 
 use rayon::prelude::*;
@@ -21,7 +21,9 @@ use crate::shared::{Board, Claim, Counter, Job, Shards};
 pub struct World {
     board: Board,
     rank: usize,
-    spins: u32,
+    /// Whether there is a core for every thread: more threads than cores must not spin, as the one
+    /// they wait for may need the core.
+    spins: AtomicBool,
     faults: Option<Faults>,
     peers: Arc<dyn Peers>,
 }
@@ -47,9 +49,8 @@ impl World {
     pub fn new(board: Board, rank: usize, faults: Option<Faults>) -> Self {
         let plan = board.plan();
         assert!(rank < plan.ranks);
-        // More threads than cores must not spin: the one they wait for may need the core.
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
-        let spins = if plan.ranks * plan.threads > cores { 0 } else { SPINS };
+        let spins = AtomicBool::new(plan.ranks * plan.threads <= cores);
         Self { board, rank, spins, faults, peers: Arc::new(Alone) }
     }
 
@@ -61,6 +62,17 @@ impl World {
     /// The worlds that share no memory with this one, which is one of them.
     pub fn peers(&self) -> &Arc<dyn Peers> {
         &self.peers
+    }
+
+    /// Whether ranks spin before they sleep: there is a core for every thread, as far as the
+    /// process that says so may use them.
+    pub fn spins(&self) -> bool {
+        self.spins.load(Ordering::Relaxed)
+    }
+
+    /// Says so for a process that may not use all cores of the ranks.
+    pub fn let_spin(&self, spins: bool) {
+        self.spins.store(spins, Ordering::Relaxed);
     }
 
     /// This rank's number, from 0.
@@ -158,7 +170,8 @@ impl World {
                 self.board.complete(round);
                 return;
             }
-            self.waiting(|| self.board.wait(event, self.spins));
+            let spins = if self.spins() { SPINS } else { 0 };
+            self.waiting(|| self.board.wait(event, spins));
         }
     }
 

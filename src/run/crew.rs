@@ -225,6 +225,7 @@ fn start(
         header,
         plain: simd == Simd::plain(),
         faults: options.faults,
+        spins: world.spins(),
     };
     let launch = Launch {
         program: this_program()
@@ -343,9 +344,11 @@ impl Crew<'_> {
             if let Err(error) = keeper.save(self.program, at, storage.record.read(), &onlooker) {
                 self.observer.tell(&format!("no checkpoint was written: {error}"));
             }
-            // Workers that stop need not wait again.
-            self.holds = board.stopped().is_some();
-            board.release();
+            // Those that are to stop wait again where they do; when they have, there is no more.
+            let stopped = board.stopped().is_some();
+            let again = self.reason.is_some() && !stopped;
+            self.holds = again || stopped;
+            board.release(again);
         }
     }
 
@@ -380,7 +383,7 @@ impl Crew<'_> {
         for rank in 0..world.size() {
             world.board().release_rank(rank);
         }
-        world.board().release();
+        world.board().release(false);
         let record = storage.record.clone();
         let mut last =
             Last { program, record: &record, keeper: keeper.as_deref_mut(), error: None };
@@ -420,9 +423,9 @@ impl Watch for Last<'_> {
         at: Position,
         state: &dyn Snapshot,
     ) -> Result<(), Abandoned> {
-        // Steps that are over pass by.
+        // Steps that are over pass by, and after the last one a tile is soon made.
         let next = rounds::step(at.phase, at.step, rounds::Part::Pull);
-        if world.board().completed() >= next {
+        if world.board().completed() >= next || self.program.is_last(at) {
             return Ok(());
         }
         if let Some(keeper) = &mut self.keeper {

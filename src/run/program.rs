@@ -170,6 +170,13 @@ impl Program {
         }
     }
 
+    /// Whether there is no step after a position, whatever a world says.
+    pub fn is_last(&self, at: Position) -> bool {
+        let Options { steps, polish, stop_after, .. } = self.options;
+        let all = steps.saturating_add(polish.steps).min(stop_after.unwrap_or(u32::MAX));
+        self.steps_done(at) >= all
+    }
+
     /// Whether a step is to be done, as far as a world knows.
     fn goes_on(&self, world: &World, at: Position) -> bool {
         let limit = self.options.stop_after.is_some_and(|limit| self.steps_done(at) >= limit);

@@ -30,6 +30,8 @@ pub(super) struct Errand {
     /// Whether no vector instructions are to be used.
     pub plain: bool,
     pub faults: Option<FaultPlan>,
+    /// Whether there is a core for every thread. Workers that are bound to some do not see it.
+    pub spins: bool,
 }
 
 /// Most memory that an errand may ask for: kernels of millions of taps are long.
@@ -71,7 +73,7 @@ pub fn serve(other: Other<'_>) -> Result<(), WorkerError> {
     let prepare = || {
         let errand: Errand =
             codec::decode::<_, ERRAND_LIMIT>(&attached.payload).map_err(WorkerError::Errand)?;
-        let Errand { program, other, header, plain, faults } = errand;
+        let Errand { program, other, header, plain, faults, spins } = errand;
         let program = program.checked().map_err(ProgramError::from)?;
         let threads = program.team.threads;
         let pool =
@@ -79,6 +81,7 @@ pub fn serve(other: Other<'_>) -> Result<(), WorkerError> {
         let region = Region::whole(program.options.shape);
         let map = Map::open(&attached.region, header)?;
         let (world, storage) = program.storage(region).open(map, rank, faults.map(Faults::new));
+        world.let_spin(spins);
         let simd = if plain { Simd::plain() } else { Simd::detect() };
         Ok((program, other, simd, pool, world, storage))
     };

@@ -164,9 +164,11 @@ impl Board {
         (waits && self.completed() == held).then_some(held)
     }
 
-    /// Lets the ranks go on, once they are [`Self::held`] or dead.
-    pub fn release(&self) {
-        self.words[HOLD_ASKED].store(0, Ordering::Release);
+    /// Lets the ranks go on, once they are [`Self::held`] or dead; and asks at once that they wait
+    /// `again` at the end of the next step. Nobody decides while they wait, so what was asked
+    /// meanwhile and this are decided together.
+    pub fn release(&self, again: bool) {
+        self.words[HOLD_ASKED].store(again.into(), Ordering::Release);
         let held = self.words[HELD].load(Ordering::Acquire);
         self.words[RELEASED].store(held, Ordering::Release);
         self.wake();
@@ -533,7 +535,7 @@ mod tests {
         assert_eq!(board.held(), Some(5));
         // Those who are still in the round may end it.
         board.wait_for_release(5, || ());
-        board.release();
+        board.release(false);
         assert_eq!(board.held(), None);
         board.wait_for_release(6, || ());
         board.decide(7);
@@ -542,5 +544,19 @@ mod tests {
         board.decide(9);
         board.decide(11);
         assert_eq!(board.stopped(), Some(9));
+    }
+
+    #[test]
+    fn who_is_told_to_stop_while_held_waits_where_it_stops() {
+        let (board, _arena) = board();
+        board.ask_hold();
+        board.decide(5);
+        board.complete(5);
+        board.ask_stop();
+        board.release(true);
+        board.wait_for_release(6, || ());
+        board.decide(7);
+        board.complete(7);
+        assert_eq!((board.stopped(), board.held()), (Some(7), Some(7)));
     }
 }

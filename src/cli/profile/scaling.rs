@@ -42,6 +42,10 @@ pub struct ScalingArgs {
     #[arg(long, value_name = "RATE", default_value = "100GB/s", value_parser = parse_rate, requires = "scaling")]
     memory_bandwidth: f64,
 
+    /// Cores that all ranks share, where they are on one machine: to compare with real runs
+    #[arg(long, value_name = "CORES", value_parser = clap::value_parser!(u16).range(1..=4096), requires = "scaling")]
+    shared_cores: Option<u16>,
+
     /// Most ranks, 1 to 65536
     #[arg(long, value_name = "RANKS", default_value = "4096", value_parser = clap::value_parser!(u32).range(1..=65536), requires = "scaling")]
     most_ranks: u32,
@@ -69,6 +73,7 @@ pub fn run(args: &ScalingArgs, own: Option<Options>, manner: &Manner<'_>) -> any
         memory: Memory { cache: args.rank_cache, bandwidth: args.memory_bandwidth },
         threads: args.rank_threads.into(),
         ranks: args.most_ranks as usize,
+        cores: args.shared_cores.map(Into::into),
     };
     let tiles = own.map_or_else(report::tiles, |own| vec![own]);
     let scaling = Scaling::take(&tiles, cluster, simd, threads, measure).map_err(|error| {

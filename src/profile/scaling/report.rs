@@ -33,6 +33,8 @@ pub struct Cluster {
     pub threads: usize,
     /// Most ranks.
     pub ranks: usize,
+    /// Cores that all ranks share, if they are on one machine; otherwise each has its own.
+    pub cores: Option<usize>,
 }
 
 /// How tiles scale.
@@ -157,7 +159,7 @@ impl TileScaling {
         cluster: Cluster,
         cores: usize,
     ) -> Result<Self, CostsError> {
-        let Cluster { network, memory, threads, ranks: most } = cluster;
+        let Cluster { network, memory, threads, ranks: most, .. } = cluster;
         let model = Model { costs: measured.costs, network, memory, threads };
         let shape = options.shape;
         let row = |(ranks, shape): (usize, TileShape)| -> Result<_, CostsError> {
@@ -165,7 +167,10 @@ impl TileScaling {
             let load = measured.load(in_proportion(options, shape));
             let extrapolated = ranks.saturating_mul(threads) > cores;
             // More ranks than cells are where a table ends, and no error.
-            let prediction = model.step(&partition, &load, ranks).ok();
+            let prediction = match cluster.cores {
+                Some(cores) => model.predict_run(&partition, &load, ranks, cores).ok(),
+                None => model.step(&partition, &load, ranks).ok(),
+            };
             Ok((
                 Row { ranks, shape, cells: partition.cells(), extrapolated, step: None },
                 prediction,
