@@ -198,7 +198,21 @@ fn an_output_that_cannot_be_written_in_the_end_hangs_nobody() {
     assert!(failed.error.contains("sub"), "{failed:?}");
 }
 
-/// The tile on two hosts, which is that of one, and what crosses the link between them.
+/// Runs this program by so many ranks on two hosts; none where there cannot be two.
+fn on_two_hosts(room: &Room, ranks: usize, line: &str) -> Option<()> {
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/two_hosts.sh");
+    let mut command = Command::new(script);
+    command.args(["--count", "bytes.txt", &ranks.to_string(), PROGRAM]);
+    command.args(line.split_whitespace());
+    let ended = room.start_as(command, "two hosts").end();
+    if ended.code() == Some(77) {
+        println!("skipped: {}", ended.error.trim());
+        return None;
+    }
+    assert!(ended.status.success(), "{ended:?}");
+    Some(())
+}
+
 #[test]
 fn only_halos_and_the_tile_cross_the_link_between_two_hosts() {
     const STEPS: u32 = 60;
@@ -209,23 +223,11 @@ fn only_halos_and_the_tile_cross_the_link_between_two_hosts() {
     );
     let expected = room.make(&line);
     std::fs::remove_file(room.at("tile.npy")).unwrap();
-    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/two_hosts.sh");
-    let mut command = Command::new(script);
-    command.args(["--count", "bytes.txt", "2", PROGRAM]).args(line.split_whitespace());
-    let ended = room.start_as(command, "two hosts").end();
-    if ended.code() == Some(77) {
-        println!("skipped: {}", ended.error.trim());
-        return;
-    }
-    assert!(ended.status.success(), "{ended:?}");
+    let Some(()) = on_two_hosts(&room, 2, &line) else { return };
     assert!(room.read("tile.npy") == expected);
     let told = room.sidecar().options;
-    let halos: u64 = told["ranks"]["ranks"]
-        .as_array()
-        .unwrap()
-        .iter()
-        .map(|rank| rank["traffic"].as_u64().unwrap())
-        .sum();
+    let ranks = told["ranks"]["ranks"].as_array().unwrap();
+    let halos: u64 = ranks.iter().map(|rank| rank["traffic"].as_u64().unwrap()).sum();
     let half = (expected.len() / 2) as u64;
     let crossed = String::from_utf8(room.read("bytes.txt")).unwrap();
     let crossed: u64 = crossed.trim().parse().unwrap();
@@ -233,4 +235,20 @@ fn only_halos_and_the_tile_cross_the_link_between_two_hosts() {
     // The headers of TCP and Ethernet, of Open MPI, and its own talk at the start.
     let most = payload + payload / 30 + 200_000;
     assert!((payload..most).contains(&crossed), "{crossed} bytes of {payload}");
+}
+
+#[test]
+fn two_hosts_leave_no_trace() {
+    let room = Room::new();
+    let line = format!(
+        "{PLAIN} --tile 61x50x5 --spp 3 --dims 3 --kernel gaussian(1.5)*ema(0.4)@5x5x4 --steps 40 \
+         --draws 300 --polish 2 --warp 10 --start stratified"
+    );
+    let expected = room.make(&format!("{line} --threads 1"));
+    for (ranks, threads) in [(2, 2), (3, 1), (4, 2), (7, 1)] {
+        std::fs::remove_file(room.at("tile.npy")).unwrap();
+        let line = format!("{line} --threads {threads}");
+        let Some(()) = on_two_hosts(&room, ranks, &line) else { return };
+        assert!(room.read("tile.npy") == expected, "{ranks} ranks of {threads} threads");
+    }
 }
