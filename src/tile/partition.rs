@@ -210,7 +210,8 @@ impl Partition {
     /// Joins the cells of a region to at least `count` blocks, as far as there are cells.
     ///
     /// Rows of cells stay together as long as possible: the longer a row of a block, the smaller
-    /// its halo.
+    /// its halo. Cells at the edges of a region that does not go around the torus are in blocks of
+    /// their own.
     pub fn blocks(&self, region: Region, count: usize) -> Vec<Block> {
         let (bands, across) = self.grid(region, count);
         let block = |rows: &Range<usize>, columns: &Range<usize>| {
@@ -240,13 +241,18 @@ impl Partition {
     /// The rows and columns of cells that blocks of a region are made of.
     fn grid(&self, region: Region, count: usize) -> (Vec<Range<usize>>, Vec<Range<usize>>) {
         let cells = self.cells_of(region);
-        let cut = |cells: &Range<usize>, count: usize| -> Vec<Range<usize>> {
-            let start = cells.start;
-            let pieces = pieces(cells.len(), count).into_iter();
-            pieces.map(|piece| start + piece.start..start + piece.end).collect()
+        let cut = |cells: &Range<usize>, count: usize, apart: bool| -> Vec<Range<usize>> {
+            // What others have to do with is kept apart, so that the rest need not wait for it.
+            let apart = usize::from(apart && cells.len() > 2);
+            let inside = cells.start + apart..cells.end - apart;
+            let pieces = pieces(inside.len(), count).into_iter();
+            let pieces = pieces.map(|it| inside.start + it.start..inside.start + it.end);
+            let first = std::iter::once(cells.start..inside.start);
+            let last = std::iter::once(inside.end..cells.end);
+            first.chain(pieces).chain(last).filter(|piece| !piece.is_empty()).collect()
         };
-        let bands = cut(&cells[0], count);
-        let across = cut(&cells[1], count.div_ceil(bands.len()));
+        let bands = cut(&cells[0], count, !region.wraps_y());
+        let across = cut(&cells[1], count.div_ceil(bands.len()), !region.wraps_x());
         (bands, across)
     }
 }

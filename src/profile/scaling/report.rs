@@ -226,9 +226,13 @@ impl Table {
 
     /// Where it stops, and why.
     fn end(&self) -> String {
-        let stop = self.rows.iter().find(|row| row.step.is_none()).map_or(String::new(), |row| {
-            format!("Stops at its {} cells, which are not divided. ", row.cells)
-        });
+        let stop =
+            self.rows.iter().find(|row| row.step.is_none()).map_or(String::new(), |row| match row
+                .cells
+            {
+                1 => "Stops at its only cell, which is not divided. ".into(),
+                cells => format!("Stops at its {cells} cells, which are not divided. "),
+            });
         let half = match self.half {
             Some((ranks, bound)) => {
                 format!("Efficiency is below 50 % from {ranks} ranks on: {}.", bound.loss())
