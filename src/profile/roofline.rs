@@ -384,18 +384,22 @@ mod tests {
         }
     }
 
-    /// What holds on any machine, however busy it is.
+    /// Wide margins: what holds on any machine that is not busy at every moment.
     #[test]
     fn this_machine_has_rates() {
         let machine = Machine::detect();
         for simd in [Simd::plain(), Simd::detect()] {
             for threads in [1, 2] {
-                let rates = Rates::measure(&machine, simd, threads).unwrap();
+                let measure = || Rates::measure(&machine, simd, threads).unwrap();
+                let all = |rates: &Rates| {
+                    [rates.l1.rate, rates.l2.rate, rates.memory.rate, rates.compute]
+                };
+                // A thread that gets no core for a while measures next to nothing.
+                let idle = |rates: &Rates| all(rates).iter().all(|&rate| rate > 1e7);
+                let rates = (0..20).map(|_| measure()).find(idle).expect("a moment's rest");
                 println!("{}: {rates:#?}", simd.name());
                 assert_eq!(rates.threads, threads);
-                for rate in [rates.l1.rate, rates.l2.rate, rates.memory.rate, rates.compute] {
-                    assert!(0.0 < rate && rate < 1e14, "{rate}");
-                }
+                assert!(all(&rates).iter().all(|&rate| rate < 1e14), "{rates:#?}");
                 let free = memory::free().unwrap_or(u64::MAX);
                 assert!(rates.memory.bytes <= free / 4);
                 assert_eq!(rates.ceiling(Store::L2).bandwidth, rates.l2.rate);

@@ -47,7 +47,7 @@ pub mod report;
 use serde::Serialize;
 
 use super::subject::WORD;
-use crate::solver::{BLOCKS_PER_THREAD, HaloTraffic, ROWS_AT_A_TIME, StoragePlan, Team};
+use crate::solver::{BLOCKS_PER_THREAD, HaloTraffic, ROWS_AT_A_TIME, StoragePlan, Team, around};
 use crate::tile::{Block, Partition, Piece, Regions, TooManyRanks};
 
 /// Most ranks that are all looked at.
@@ -341,11 +341,11 @@ impl Model {
         let draws_of = |pixels: usize| load.draws * pixels as f64 / tile.pixels() as f64;
         let seconds = |block: &Block| draws_of(block.place().pixels(tile.frames())) * draw;
         let touches =
-            |block: &&Block| halo.iter().any(|piece| piece.seen.common(block.window()).is_some());
-        let (edge, inside): (Vec<&Block>, Vec<&Block>) = blocks.iter().partition(touches);
-        let early = if edge.is_empty() { 0 } else { inside.len() / 2 };
-        let round = |blocks: &[&Block]| last(blocks.iter().map(|block| seconds(block)), threads);
-        let [first, middle, second] = [&inside[..early], &edge, &inside[early..]].map(round);
+            |block: &Block| halo.iter().any(|piece| piece.seen.common(block.window()).is_some());
+        let (blocks, edge) = around(blocks, touches);
+        let round = |blocks: &[Block]| last(blocks.iter().map(seconds), threads);
+        let shares = [&blocks[..edge.start], &blocks[edge.clone()], &blocks[edge.end..]];
+        let [first, middle, second] = shares.map(round);
         let drawing = first + middle + second;
         let draws = load.draws * draw / (ranks * threads_f);
 

@@ -26,6 +26,7 @@ pub use options::{MAX_POLISH_TAPS, Options, OptionsError, Preset, Start};
 pub use samples::Samples;
 pub(crate) use samples::tile_of;
 pub use state::{Onlooker, Snapshot};
+pub(crate) use step::around;
 pub use step::{BLOCKS_PER_THREAD, Descent};
 pub use storage::{Record, Recorded, Storage, StoragePlan, Team};
 pub use summary::{Phase, StopReason, Summary};

@@ -112,17 +112,13 @@ impl<P: Probe> Descent<P> {
     ) -> Self {
         let gradient = gradient.within(regions.own());
         let partition = gradient.partition();
-        let plan = world.board().plan();
-        let can_fail = plan.journal > 0;
-        let team = Team { ranks: plan.ranks, threads: plan.threads, regions: 1, can_fail };
+        let team = Team::of(&world);
         let Storage { samples, first, second, work, counts, found, makers, record } = storage;
         let sections = [samples, first, second];
         let seen = (regions, partition.reach());
         let state = State::enter(&world, Phase::Descent, seen, sections, work.slice(), first_step);
-        let all = team.blocks(partition, regions.own());
-        let (edge, inside): (Vec<_>, Vec<_>) =
-            all.into_iter().partition(|block| state.halo.touches(block.window()));
-        let (blocks, edge) = around(edge, inside);
+        let blocks = team.blocks(partition, regions.own());
+        let (blocks, edge) = around(blocks, |block| state.halo.touches(block.window()));
         let halo = GradientHalo::new(&**world.peers(), regions, partition.reach(), &blocks);
         let windows = blocks.iter().map(Block::window).chain(halo.windows());
         let overlap = Overlap::new(regions.own(), windows);
@@ -278,8 +274,13 @@ impl<P: Probe> Descent<P> {
     }
 }
 
-/// Puts blocks at the edge between two shares of those inside. Returns where they are, too.
-fn around(edge: Vec<Block>, mut inside: Vec<Block>) -> (Vec<Block>, Range<usize>) {
+/// Puts blocks at the edge, of which `touches` tells, between two shares of those inside. Returns
+/// where they are, too.
+pub(crate) fn around(
+    blocks: Vec<Block>,
+    touches: impl Fn(&Block) -> bool,
+) -> (Vec<Block>, Range<usize>) {
+    let (edge, mut inside): (Vec<_>, Vec<_>) = blocks.into_iter().partition(touches);
     // Nobody waits for a share that is not needed.
     let early = if edge.is_empty() { 0 } else { inside.len() / 2 };
     let late = inside.split_off(early);

@@ -39,6 +39,12 @@ impl Team {
         Self { ranks: 1, threads: rayon::current_num_threads(), regions: 1, can_fail: false }
     }
 
+    /// The ranks of a world and of its peers.
+    pub(crate) fn of(world: &World) -> Self {
+        let BoardPlan { ranks, threads, journal, .. } = world.board().plan();
+        Self { ranks, threads, regions: world.peers().size(), can_fail: journal > 0 }
+    }
+
     /// Threads of all ranks.
     pub fn all_threads(&self) -> usize {
         self.ranks.saturating_mul(self.threads)

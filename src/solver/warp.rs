@@ -83,10 +83,7 @@ pub fn warp(
     if frames == 0 {
         return storage;
     }
-    let plan = world.board().plan();
-    let team =
-        Team { ranks: plan.ranks, threads: plan.threads, regions: 1, can_fail: plan.journal > 0 };
-    let jobs = jobs(shape, team);
+    let jobs = jobs(shape, Team::of(world));
     let points = shape.coordinates() / dims;
     let part = |job: usize| points * job / jobs * dims..points * (job + 1) / jobs * dims;
     let tile =
