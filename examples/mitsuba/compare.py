@@ -1,0 +1,92 @@
+"""Renders the animated scenes behind all tiles and compares them as the paper does.
+
+Everything goes to the folder OUT: tiles, references, results, pictures, `tables.md`, and
+`renders.json`, which `perceptile report --renders OUT` shows. What is there already is kept.
+"""
+
+import argparse
+from pathlib import Path
+
+import experiments
+import render
+import tables
+import tiles
+from assets import Assets
+from measure import Kernel
+from scenes import SCENES
+
+
+def foreign(text):
+    """NAME=FILE of a tile that is not ours."""
+    name, equals, file = text.partition("=")
+    if not (name and equals and Path(file).is_file()):
+        raise argparse.ArgumentTypeError(f"{text!r} is not NAME=FILE with a file that exists")
+    return name, Path(file)
+
+
+def main():
+    """Reads the arguments, runs the experiments and writes the tables."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("out", type=Path, help="folder for everything that is made")
+    parser.add_argument("--program", default="perceptile", help="the program `perceptile`")
+    parser.add_argument(
+        "--foreign",
+        type=foreign,
+        action="append",
+        default=[],
+        metavar="NAME=FILE",
+        help="a .npy tile to compare with; may be given several times",
+    )
+    parser.add_argument("--scenes", default=",".join(SCENES), help="names of scenes [default: all]")
+    parser.add_argument("--size", type=int, default=256, help="pixels along a side [default: 256]")
+    parser.add_argument("--runs", type=int, default=8, help="shifts of every tile [default: 8]")
+    parser.add_argument(
+        "--spp", type=int, default=512, help="samples of the references [default: 512]"
+    )
+    parser.add_argument(
+        "--steps", type=int, help="steps for every tile [default: as many as are good]"
+    )
+    parser.add_argument("--only", help="names of experiments [default: all]")
+    args = parser.parse_args()
+    if args.spp < render.PASS or args.spp % render.PASS or args.runs < 1 or args.size < 64:
+        parser.error(
+            f"--spp must be a multiple of {render.PASS}, --runs at least 1 and --size at least 64"
+        )
+    unknown = set(args.scenes.split(",")) - set(SCENES)
+    if unknown:
+        parser.error(f"there is no scene {', '.join(sorted(unknown))}, but {', '.join(SCENES)}")
+
+    (args.out / "tiles").mkdir(parents=True, exist_ok=True)
+    setup = experiments.Setup(
+        program=args.program,
+        folder=args.out,
+        assets=Assets(args.out / "assets"),
+        perception=Kernel.of(args.program, tiles.PERCEPTION),
+        taa=Kernel.of(args.program, tiles.TAA),
+        foreign=dict(args.foreign),
+        size=args.size,
+        runs=args.runs,
+        spp=args.spp,
+        steps=args.steps,
+    )
+    chosen = [SCENES[name] for name in args.scenes.split(",")]
+    two = [scene.name for scene in chosen if scene.dims == 2]
+    more = [scene.name for scene in chosen if scene.dims > 2]
+    plan = {
+        "animation": two,
+        "still": two,
+        "four_samples": two,
+        "tiling": [name for name in ("cornell",) if name in two],
+        "path_traced": more,
+    }
+    wanted = args.only.split(",") if args.only else list(plan)
+    results = {
+        name: {scene: getattr(experiments, name)(setup, scene) for scene in names}
+        for name, names in plan.items()
+        if name in wanted
+    }
+    tables.write(setup, results)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,235 @@
+"""Tests of the sampler and of what is measured: `python -m unittest` in this folder.
+
+Needs the program at PERCEPTILE, or on the path.
+"""
+
+import itertools
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import unittest
+from pathlib import Path
+
+import mitsuba as mi
+import numpy as np
+
+mi.set_variant("llvm_ad_rgb")
+
+import tile_sampler  # noqa: E402
+from assets import read_off, tessellate  # noqa: E402
+from measure import Kernel, blur, interval, lag, relative  # noqa: E402
+from tiles import PERCEPTION, TAA  # noqa: E402
+
+PROGRAM = os.environ.get("PERCEPTILE", "perceptile")
+
+
+class Show(mi.SamplingIntegrator):
+    """Shows the numbers of a sampler: the first two as red and green, the next as blue."""
+
+    def sample(self, scene, sampler, ray, medium=None, active=True):
+        point = sampler.next_2d(active)
+        return mi.Color3f(point.x, point.y, sampler.next_1d(active)), mi.Bool(True), []
+
+
+def shown(sampler, seed, width=24, height=20, spp=1):
+    """What a sampler gives in a frame, (height, width, 3)."""
+    mi.register_integrator("show", Show)
+    film = {
+        "type": "hdrfilm",
+        "width": width,
+        "height": height,
+        "rfilter": {"type": "box"},
+        "pixel_format": "rgb",
+        "component_format": "float32",
+    }
+    sampler = {"type": "tile", "width": width, "height": height, **sampler}
+    scene = mi.load_dict(
+        {
+            "type": "scene",
+            "sensor": {"type": "perspective", "film": film, "sampler": sampler},
+            "light": {"type": "constant"},
+        }
+    )
+    return np.array(mi.render(scene, integrator=mi.load_dict({"type": "show"}), seed=seed, spp=spp))
+
+
+class Sampler(unittest.TestCase):
+    """The sampler gives the tile's numbers where they belong."""
+
+    @classmethod
+    def setUpClass(cls):
+        tile_sampler.register()
+        cls.folder = tempfile.TemporaryDirectory()
+        cls.addClassCleanup(cls.folder.cleanup)
+        random = np.random.default_rng(1)
+        cls.tile = random.random((5, 8, 16, 2, 3), np.float32)
+        cls.file = str(Path(cls.folder.name) / "tile.npy")
+        np.save(cls.file, cls.tile)
+
+    def expected(self, t, dx=0, dy=0):
+        y, x = np.mgrid[:20, :24]
+        return self.tile[t % 5, (y + dy) % 8, (x + dx) % 16].mean(axis=2)
+
+    def test_pixels_frames_and_dimensions_are_the_tiles(self):
+        for t in (0, 3, 5, 17):
+            image = shown({"filename": self.file}, t, spp=2)
+            np.testing.assert_allclose(image, self.expected(t), atol=1e-6)
+
+    def test_shifted_seeds_read_the_same_tile_elsewhere(self):
+        image = shown({"filename": self.file}, 2 + tile_sampler.SHIFT, spp=2)
+        moves = itertools.product(range(5), range(16), range(8))
+        distances = [np.abs(image - self.expected(*move)).max() for move in moves]
+        self.assertLess(min(distances), 1e-6)
+        self.assertGreater(np.abs(image - self.expected(2)).max(), 0.1)
+
+    def test_dimensions_after_the_last_are_independent_or_shifted(self):
+        two = str(Path(self.folder.name) / "two.npy")
+        np.save(two, self.tile[:, :, :, :1, :2])
+        free = shown({"filename": two}, 1)[:, :, 2]
+        other = shown({"filename": two}, 2)[:, :, 2]
+        self.assertAlmostEqual(free.mean(), 0.5, delta=0.1)
+        self.assertLess(abs(np.corrcoef(free.ravel(), other.ravel())[0, 1]), 0.2)
+        again = shown({"filename": two, "beyond": "shift"}, 1)[:, :, 2]
+        y, x = np.mgrid[:20, :24]
+        distances = [
+            np.abs(again - self.tile[1, (y + dy) % 8, (x + dx) % 16, 0, 0]).max()
+            for dx, dy in itertools.product(range(16), range(8))
+        ]
+        self.assertLess(min(distances), 1e-6)
+
+    def test_bytes_are_the_middles_of_their_levels(self):
+        path = str(Path(self.folder.name) / "bytes.npy")
+        np.save(path, np.full((1, 4, 4, 2), 255, np.uint8))
+        np.testing.assert_allclose(shown({"filename": path}, 0)[:, :, :2], 255.5 / 256, atol=1e-6)
+
+    def test_what_is_no_tile_is_an_error(self):
+        for wrong in (np.zeros((4, 4)), np.full((1, 2, 2, 2), 1.5), np.full((1, 2, 2, 2), np.nan)):
+            path = str(Path(self.folder.name) / "wrong.npy")
+            np.save(path, wrong)
+            with self.assertRaises(ValueError):
+                tile_sampler.read_tile(path)
+
+
+class Measures(unittest.TestCase):
+    """What is measured is what the paper defines."""
+
+    def test_filters_are_the_sum_over_the_programs_taps(self):
+        random = np.random.default_rng(2)
+        frames = random.random((20, 12, 14, 3)).astype(np.float32)
+        for spec in (PERCEPTION, TAA):
+            done = subprocess.run(
+                [PROGRAM, "kernel", spec, "--json", "--all"], capture_output=True, check=True
+            )
+            taps = json.loads(done.stdout)["classes"][0]["taps"]
+            kernel = Kernel.of(PROGRAM, spec)
+            ours = lag(blur(frames, kernel), kernel.time, 19)
+            y, x = 4, 5
+            plain = sum(w * frames[19 + dt, y + 3 + dy, x + 3 + dx] for dx, dy, dt, w in taps)
+            np.testing.assert_allclose(ours[y, x], plain / sum(tap[3] for tap in taps), rtol=1e-5)
+
+    def test_a_constant_picture_stays_even_while_frames_are_few(self):
+        kernel = Kernel.of(PROGRAM, PERCEPTION)
+        frames = np.full((9, 9, 9, 1), 0.5, np.float32)
+        for t in range(9):
+            np.testing.assert_allclose(lag(blur(frames, kernel), kernel.time, t), 0.5, rtol=1e-5)
+
+    def test_white_noise_has_the_power_of_the_kernel(self):
+        kernel = Kernel.of(PROGRAM, PERCEPTION)
+        random = np.random.default_rng(3)
+        noise = random.standard_normal((8, 256, 256, 1)).astype(np.float32)
+        power = (kernel.time**2).sum() * (kernel.space**2).sum() ** 2
+        seen = lag(blur(noise, kernel), kernel.time, 7)
+        self.assertAlmostEqual(float((seen**2).mean()) / power, 1, delta=0.05)
+
+    def test_relative_error(self):
+        self.assertAlmostEqual(relative(np.full(4, 0.2), np.full(4, 0.3)), 0.04 / 0.1)
+
+    def test_intervals_hold_the_mean_as_often_as_they_say(self):
+        random = np.random.default_rng(4)
+        hits = 0
+        for _ in range(2000):
+            mean, half = interval(random.standard_normal(8))
+            hits += abs(mean) < half
+        self.assertAlmostEqual(hits / 2000, 0.95, delta=0.02)
+
+    def test_kernels_that_are_no_products_are_refused(self):
+        with self.assertRaises(ValueError):
+            Kernel([(0, 0, 0, 1.0), (1, 1, 0, 1.0)])
+
+
+class Geometry(unittest.TestCase):
+    """Meshes are read as they are written."""
+
+    def test_faces_of_off_files_become_triangles(self):
+        vertices, triangles = read_off("OFF\n4 1 0\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n4 0 1 2 3\n")
+        self.assertEqual(vertices.shape, (4, 3))
+        self.assertEqual(triangles.tolist(), [[0, 1, 2], [0, 2, 3]])
+
+    def test_a_flat_patch_is_flat_and_whole(self):
+        grid = np.stack([*np.meshgrid(np.arange(4.0), np.arange(4.0)), np.zeros((4, 4))], axis=-1)
+        vertices, triangles = tessellate(grid[None], 5)
+        a, b, c = (vertices[triangles[:, i]] for i in range(3))
+        area = np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2
+        self.assertAlmostEqual(area, 9, places=4)
+
+
+class Comparison(unittest.TestCase):
+    """The whole comparison, small."""
+
+    def test_tiles_win_in_a_rendered_animation(self):
+        with tempfile.TemporaryDirectory() as folder:
+            here = Path(__file__).parent
+            command = [
+                sys.executable,
+                str(here / "compare.py"),
+                folder,
+                "--program",
+                PROGRAM,
+                "--scenes",
+                "cornell,shadows",
+                "--size",
+                "64",
+                "--runs",
+                "2",
+                "--spp",
+                "128",
+                "--steps",
+                "300",
+                "--only",
+                "animation,still",
+            ]
+            subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+            for scene in ("cornell", "shadows"):
+                result = json.loads(
+                    (Path(folder) / "results" / f"animation-{scene}.json").read_text()
+                )
+                white = np.mean(result["white"]["plain_all"])
+                self.assertLess(np.mean(result["perception"]["plain_all"]), 0.4 * white)
+                self.assertLess(
+                    np.mean(result["perception-taa"]["taa_equal_all"]),
+                    0.4 * np.mean(result["white"]["taa_equal_all"]),
+                )
+            report = Path(folder) / "report"
+            tile = Path(folder) / "tiles" / "small.npy"
+            subprocess.run(
+                [
+                    PROGRAM,
+                    "report",
+                    str(report),
+                    str(tile),
+                    "--renders",
+                    folder,
+                    "--integrands",
+                    "8",
+                ],
+                check=True,
+            )
+            self.assertIn(
+                "Perceived error relative to white noise", (report / "index.html").read_text()
+            )
+
+
+if __name__ == "__main__":
+    unittest.main()
