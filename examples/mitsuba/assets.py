@@ -6,6 +6,7 @@ is not installed is downloaded and unpacked below the cache folder, without root
 """
 
 import glob
+import itertools
 import re
 import subprocess
 import sys
@@ -93,7 +94,7 @@ class Assets:
 
 def run(*command, cwd=None):
     """Runs a command; what it prints is shown only if it fails."""
-    done = subprocess.run(command, cwd=cwd, capture_output=True, text=True)
+    done = subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False)
     if done.returncode:
         raise RuntimeError(f"{' '.join(command)} failed:\n{done.stdout}{done.stderr}")
 
@@ -108,7 +109,7 @@ def read_off(text):
     triangles, at = [], 4 + 3 * count
     for _ in range(faces):
         corners = [int(word) for word in words[at + 1 : at + 1 + int(words[at])]]
-        triangles += [(corners[0], b, c) for b, c in zip(corners[1:], corners[2:])]
+        triangles += [(corners[0], b, c) for b, c in itertools.pairwise(corners[1:])]
         at += 1 + len(corners)
     return vertices, np.array(triangles)
 

@@ -10,8 +10,8 @@ import numpy as np
 # Before the sampler's class, which is one of the variant.
 mi.set_variant("llvm_ad_rgb")
 
-import tile_sampler  # noqa: E402
-from scenes import SCENES  # noqa: E402
+import tile_sampler
+from scenes import SCENES
 
 # Samples of a reference that are taken at once.
 PASS = 128

@@ -5,8 +5,8 @@ frames per second. `Scene.frame` gives Mitsuba's dictionary of a frame without i
 `Scene.camera` where the camera is.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Callable
 
 import mitsuba as mi
 import numpy as np

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from experiments import FIRST, FRAME, FRAMES, WHITE, word
+from experiments import FRAME, FRAMES, WHITE, word
 from measure import interval
 from scenes import SCENES
 from tiles import TILES
@@ -363,14 +363,14 @@ def write(setup, results):
     """Writes `tables.md` and `renders.json`."""
     foreign = list(setup.foreign)
     made, drawn, scenes = [], [], []
-    if "animation" in results and results["animation"]:
+    if results.get("animation"):
         made += animation_tables(results["animation"], foreign)
         ours = {"plain": ["perception", "small"], "taa": ["taa", "perception-taa", "small-taa"]}
         scenes += scene_data(setup, results["animation"], "", "", ours, ["spatial", *foreign])
-    if "still" in results and results["still"]:
+    if results.get("still"):
         made.append(accumulation_table(results["still"], foreign))
         drawn += plots(results["still"])
-    if "four_samples" in results and results["four_samples"]:
+    if results.get("four_samples"):
         keys = {view: ["spatial-spp4", *foreign, key] for view, key in OURS_SPP4.items()}
         every = {f"{view}_all": value for view, value in keys.items()}
         made.append(
@@ -386,7 +386,7 @@ def write(setup, results):
         scenes += scene_data(
             setup, results["four_samples"], "-spp4", ", 4 samples", ours, ["spatial-spp4", *foreign]
         )
-    if "path_traced" in results and results["path_traced"]:
+    if results.get("path_traced"):
         first = next(iter(results["path_traced"].values()))
         keys = [key for key in first if key != WHITE]
         made.append(

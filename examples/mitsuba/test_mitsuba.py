@@ -17,10 +17,10 @@ import numpy as np
 
 mi.set_variant("llvm_ad_rgb")
 
-import tile_sampler  # noqa: E402
-from assets import read_off, tessellate  # noqa: E402
-from measure import Kernel, blur, interval, lag, relative  # noqa: E402
-from tiles import PERCEPTION, TAA  # noqa: E402
+import tile_sampler
+from assets import read_off, tessellate
+from measure import Kernel, blur, interval, lag, relative
+from tiles import PERCEPTION, TAA
 
 PROGRAM = os.environ.get("PERCEPTILE", "perceptile")
 

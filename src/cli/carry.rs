@@ -338,6 +338,7 @@ fn finish(product: Product, site: Site, ready: Ready) -> anyhow::Result<ExitCode
         seconds,
         sha256,
         scores: serde_json::json!(scores),
+        convergence: summary.convergence.clone(),
     };
     match &tile {
         TileIn::One(tile) => outputs.write(tile, existing, provenance)?,

@@ -18,8 +18,8 @@ use super::npy;
 use super::write::{self, Existing, WriteError};
 use crate::tile::{Tile, TileShape};
 
-/// The version of the format that is written and read.
-pub const FORMAT: u32 = 1;
+/// The version of the format that is written; earlier ones are read.
+pub const FORMAT: u32 = 2;
 /// Longest sidecar that is read, in bytes.
 const MAX_BYTES: u64 = 16 << 20;
 
@@ -49,7 +49,7 @@ pub enum SidecarError {
     #[error("not the provenance of a tile: {0}")]
     Json(serde_json::Error),
     /// A later version of the format.
-    #[error("the provenance has format {found}, but this version reads format {FORMAT}")]
+    #[error("the provenance has format {found}, but this version reads formats 1 to {FORMAT}")]
     Format {
         /// The format that the file says.
         found: u32,
@@ -66,7 +66,7 @@ pub enum SidecarError {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Sidecar {
-    /// Version of this format: [`FORMAT`].
+    /// Version of this format, at most [`FORMAT`].
     pub format: u32,
     /// The program that made the tile.
     pub program: String,
@@ -90,6 +90,11 @@ pub struct Sidecar {
     pub sha256: String,
     /// The tile's scores; `null` if they were not measured.
     pub scores: Value,
+    /// The mean W₂² of the draws of single steps (see [`Summary::convergence`]); empty in format 1.
+    ///
+    /// [`Summary::convergence`]: crate::solver::Summary::convergence
+    #[serde(default)]
+    pub convergence: Vec<(u32, f64)>,
 }
 
 /// The one field that every version has.
@@ -111,7 +116,7 @@ impl Sidecar {
     /// type (the message has line and column), a shape that is no tile's, a digest that is none.
     pub fn parse(text: &[u8]) -> Result<Self, SidecarError> {
         let Version { format } = serde_json::from_slice(text).map_err(SidecarError::Json)?;
-        if format != FORMAT {
+        if !(1..=FORMAT).contains(&format) {
             return Err(SidecarError::Format { found: format });
         }
         let sidecar: Self = serde_json::from_slice(text).map_err(SidecarError::Json)?;
@@ -218,6 +223,7 @@ mod tests {
             seconds: 1e-3 / 3.0,
             sha256: digest(&small()),
             scores: Value::Null,
+            convergence: vec![(1, 0.1 + 0.2), (2, 1e-9)],
         }
     }
 
@@ -240,14 +246,14 @@ mod tests {
         let mut value = serde_json::to_value(example()).unwrap();
         let parse = |value: &Value| Sidecar::parse(value.to_string().as_bytes());
         assert_eq!(parse(&value).unwrap(), example());
-        for key in value.as_object().unwrap().keys() {
+        for key in value.as_object().unwrap().keys().filter(|&key| key != "convergence") {
             let mut lacking = value.clone();
             lacking.as_object_mut().unwrap().remove(key);
             let error = parse(&lacking).unwrap_err();
             assert!(error.to_string().contains(key.as_str()), "{key}: {error}");
         }
         for (key, bad, message) in [
-            ("format", json!(2), "format 2"),
+            ("format", json!(3), "format 3"),
             ("format", json!(-1), "-1"),
             ("seed", json!(-1), "-1"),
             ("seed", json!("1"), "\"1\""),
@@ -265,6 +271,10 @@ mod tests {
             let error = parse(&wrong).unwrap_err();
             assert!(error.to_string().contains(message), "{error}");
         }
+        let mut first = value.clone();
+        first.as_object_mut().unwrap().remove("convergence");
+        first["format"] = json!(1);
+        assert!(parse(&first).unwrap().convergence.is_empty());
         value["format"] = json!("1");
         assert!(matches!(parse(&value), Err(SidecarError::Json(_))));
         let deep = "[".repeat(1 << 20);

@@ -110,6 +110,7 @@ mod tests {
             seconds: 0.5,
             sha256,
             scores: serde_json::Value::Null,
+            convergence: Vec::new(),
         }
     }
 

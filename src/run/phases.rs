@@ -76,8 +76,10 @@ pub(super) fn summary(
     seconds: Vec<(Phase, f64)>,
 ) -> Summary {
     let (steps, reason) = program.outcome(world, reason);
-    let [objective_before, objective_after] = record.means(steps.min(program.options.steps));
-    Summary { reason, steps, objective_before, objective_after, seconds }
+    let descended = steps.min(program.options.steps);
+    let [objective_before, objective_after] = record.means(descended);
+    let convergence = record.curve(descended);
+    Summary { reason, steps, objective_before, objective_after, convergence, seconds }
 }
 
 /// Watches a run of this process: tells the observer, and stops and keeps it between steps.

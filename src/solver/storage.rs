@@ -282,14 +282,14 @@ impl Found {
     }
 }
 
-/// What the first steps of a descent found, and the last ones.
+/// What the first steps of a descent found, and the last ones, and some in between.
 #[derive(Debug)]
 pub struct Record(Words);
 
 impl Record {
     /// Words of a step.
     const STEP: usize = 2;
-    const WORDS: usize = 2 * Summary::WINDOW * Self::STEP;
+    const WORDS: usize = (CURVE + CURVE_STEPS) * Self::STEP;
 
     /// Writes down what a step found.
     pub(crate) fn set(&self, step: u32, objective: Objective) {
@@ -303,6 +303,9 @@ impl Record {
             set(step);
         }
         set(Summary::WINDOW + step % Summary::WINDOW);
+        if let Some(at) = curve_place(step) {
+            set(CURVE + at);
+        }
     }
 
     /// What it holds now.
@@ -316,6 +319,20 @@ impl Record {
             word.store(value as u64, Ordering::Relaxed);
         }
     }
+}
+
+/// Steps of a record before those of the curve.
+const CURVE: usize = 2 * Summary::WINDOW;
+/// Places of the curve: four for each doubling of the number of steps.
+const CURVE_STEPS: usize = 4 * 32;
+
+/// The place of a step on the curve of convergence: the first steps, and then those whose number,
+/// counted from one, is 4, 5, 6 or 7 times a power of two.
+fn curve_place(step: usize) -> Option<usize> {
+    let number = step + 1;
+    let octave = number.ilog2() as usize;
+    let quarters = (number << 2) >> octave;
+    ((quarters << octave) >> 2 == number).then_some(4 * octave + quarters - 4)
 }
 
 /// What a [`Record`] held. Those of ranks with a region each add up word by word.
@@ -337,6 +354,19 @@ impl Recorded {
         let last: f64 = (done - count..done).map(|step| value(window + step % window)).sum();
         [first, last].map(|sum| (count > 0).then(|| sum / count as f64))
     }
+
+    /// The objective of single steps, four for each doubling of their number, when so many are
+    /// done: the steps, counted from one, and what their draws found.
+    pub fn curve(&self, done: u32) -> Vec<(u32, f64)> {
+        let word = |at: usize| self.words.get(at).map_or(0, |&word| word as u64);
+        (0..done)
+            .filter_map(|step| curve_place(step as usize).map(|place| (step, CURVE + place)))
+            .map(|(step, at)| (step + 1, Objective::from_words([word(2 * at), word(2 * at + 1)])))
+            // A checkpoint of an earlier version has none.
+            .filter(|(_, objective)| objective.to_words()[1] > 0)
+            .map(|(step, objective)| (step, objective.mean()))
+            .collect()
+    }
 }
 
 #[cfg(test)]
@@ -357,6 +387,12 @@ mod tests {
         assert_eq!(record.read().means(100), [Some(15.5), Some(83.5)]);
         (0..3).for_each(|step| record.set(step, found(step)));
         assert_eq!(record.read().means(3), [Some(1.0), Some(1.0)]);
+        let steps =
+            [1, 2, 3, 4, 5, 6, 7, 8, 10, 12, 14, 16, 20, 24, 28, 32, 40, 48, 56, 64, 80, 96];
+        let curve = record.read().curve(100);
+        assert_eq!(curve.iter().map(|&(step, _)| step).collect::<Vec<_>>(), steps);
+        // The first three steps were done again, with the same outcome.
+        assert!(curve.iter().all(|&(step, value)| value == f64::from(step - 1)));
         let (_, other) = plan.private().unwrap();
         other.record.restore(&record.read());
         assert_eq!(other.record.read().means(3), record.read().means(3));

@@ -54,6 +54,11 @@ pub struct Summary {
     pub objective_before: Option<f64>,
     /// The same over the last steps.
     pub objective_after: Option<f64>,
+    /// The same of single steps of the descent, four for each doubling of their number: the step,
+    /// counted from one, and what its draws found before it moved the samples. Provenance has it in
+    /// a field of its own.
+    #[serde(skip)]
+    pub convergence: Vec<(u32, f64)>,
     /// Wall-clock seconds of every phase that took place.
     pub seconds: Vec<(Phase, f64)>,
 }
