@@ -94,9 +94,9 @@
 
   /** Whether a key pressed on `target` has a meaning of its own there. */
   function ownsKey(target, key) {
-    if (target.matches('select, textarea, [role=slider]')) return true;
+    if (target.matches('select, textarea')) return true;
     const arrows = key.startsWith('Arrow') || key === 'Home' || key === 'End';
-    if (target.matches('input[type=range]')) return arrows || key.startsWith('Page') || key === '+' || key === '-';
+    if (target.matches('input[type=range]')) return arrows || key.startsWith('Page');
     if (target.matches('input[type=radio]')) return arrows;
     return target.matches('button, summary, a') && (key === ' ' || key === 'Enter');
   }

@@ -50,14 +50,15 @@
 
   class Pane {
     /**
-     * @param {{name: string, width: number, height: number, frames: number, whole: boolean}[]} tiles
+     * @param {{name: string, width: number, height: number, frames: number, spp: number,
+     *   whole: boolean}[]} tiles
      * @param {(number: number) => void} picked another tile
      * @param {() => void} removed the pane is no longer wanted
      */
     constructor(tiles, picked, removed) {
       this.tiles = tiles;
       this.tile = 0;
-      const names = tiles.map(({ name }, number) => [String(number), name]);
+      const names = tiles.map(({ name, whole }, number) => [String(number), whole ? name : `${name} (part of the tile)`]);
       this.picker = picker('Tile', names, (value) => picked(Number(value)));
       this.remove = button('Remove', { class: 'pv-button pv-quiet', onclick: removed });
       this.canvas = element('canvas', { class: 'pv-canvas', role: 'img', width: 1, height: 1 });
@@ -103,8 +104,9 @@
 
     /** @param {string} failure why there is no picture, or nothing */
     explain(failure) {
-      const { width, height, frames, whole } = this.tiles[this.tile];
-      const size = `${width} × ${height} × ${frames}${whole ? '' : ', part of the tile'}`;
+      const { width, height, frames, spp, whole } = this.tiles[this.tile];
+      const samples = spp > 1 ? `, ${spp} samples` : '';
+      const size = `${width} × ${height} × ${frames}${samples}${whole ? '' : ', part of the tile'}`;
       this.note.textContent = failure ? `No picture: ${failure}` : size;
       this.note.classList.toggle('pv-failure', failure !== '');
     }
