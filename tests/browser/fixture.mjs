@@ -36,7 +36,7 @@ export function lattice({ width, height, frames }) {
       for (let x = 0; x < width; x += 1) {
         const u = x * turns(0.7548777, width) + y * turns(0.5698403, height) + t * turns(0.6180339, frames);
         const v = x * turns(0.4142135, width) + y * turns(0.7320508, height) + t * turns(0.2360679, frames);
-        numbers[at] = to16((u + 0.37 * v) % 1);
+        numbers[at] = to16(u % 1);
         numbers[at + 1] = to16((v + 0.13) % 1);
         at += 2;
       }
@@ -121,7 +121,7 @@ const STYLE = `
 :root { color-scheme: light; --paper: #fbfaf8; --raised: #ffffff; --ink: #1c1b19; --muted: #5f5b55; --line: #dcd8d1; --accent: #1f5f8b; --on-accent: #ffffff; }
 @media (prefers-color-scheme: dark) { :root { color-scheme: dark; --paper: #171614; --raised: #22201e; --ink: #ece9e4; --muted: #a8a29a; --line: #3b3834; --accent: #7fb8e0; --on-accent: #10202c; } }
 * { box-sizing: border-box; }
-body { margin: 0 auto; max-width: 68rem; padding: 1rem; background: var(--paper); color: var(--ink); font: 16px/1.5 system-ui, sans-serif; }
+body { margin: 0 auto; max-width: 72rem; padding: 1rem; background: var(--paper); color: var(--ink); font: 16px/1.5 system-ui, sans-serif; }
 a { color: var(--accent); }
 section > figure { display: flex; flex-wrap: wrap; gap: 1rem; margin: 1rem 0; }
 `;
@@ -201,7 +201,7 @@ export function writeFixture(folder) {
   const several = { width: 24, height: 40, frames: 8, spp: 4 };
   const tiles = [
     { name: 'lattice', ...shape, numbers: lattice(shape) },
-    { name: 'several <samples>', ...several, numbers: whiteNoise(several, 7) },
+    { name: 'several <samples> under a name that is wider than a phone', ...several, numbers: whiteNoise(several, 7) },
     { name: 'one dimension', ...shape, numbers: flat(shape) },
     { name: 'part', ...shape, whole: false, numbers: whiteNoise(shape, 9) },
     { name: 'White noise', ...shape, numbers: whiteNoise(shape, 5) },
