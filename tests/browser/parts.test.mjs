@@ -262,6 +262,21 @@ test('the queue does what is wanted last, and tells of failures', () => {
   assert.equal(messages.filter(({ key, type }) => key === 'first' && type === 'frame').length, 2);
 });
 
+test('the queue drops what is under way when it is no longer wanted', () => {
+  const messages = [];
+  const later = [];
+  const queue = new viewer.Queue((message) => messages.push(message), 0.2, (run) => later.push(run));
+  const shape = { width: 64, height: 64, frames: 64 };
+  const job = (key) => ({ key, kind: 'error', tile: 0, tileShape: { ...shape, spp: 1 }, shape, integrand: DESCRIPTIONS[8], kernel: null });
+  queue.receive({ type: 'tile', number: 0, text: base64(whiteNoise({ ...shape, spp: 1 })) });
+  queue.receive({ type: 'want', jobs: [job('old')] });
+  while (!messages.some(({ type, key }) => type === 'progress' && key === 'old')) later.shift()();
+  queue.receive({ type: 'want', jobs: [job('new')] });
+  while (later.length > 0) later.shift()();
+  const ends = messages.filter(({ type }) => type === 'done').map(({ key }) => key);
+  assert.deepEqual(ends, ['new']);
+});
+
 test('a display at the rate of the animation shows every frame once', () => {
   const next = random(3);
   const jitter = () => 16.683 + 6 * (next() - 0.5);
