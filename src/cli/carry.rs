@@ -396,12 +396,8 @@ fn command(settings: &Settings, summary: &Summary) -> String {
     if summary.reason != StopReason::Completed {
         settings.stop_after = Some(summary.steps);
     }
-    let quote = |word: String| {
-        let plain = |c: char| c.is_ascii_alphanumeric() || "-_./".contains(c);
-        if word.chars().all(plain) { word } else { format!("'{}'", word.replace('\'', r"'\''")) }
-    };
     let words = ["perceptile".into(), "optimize".into()].into_iter();
-    words.chain(settings.command_line()).map(quote).collect::<Vec<String>>().join(" ")
+    super::line(words.chain(settings.command_line()))
 }
 
 /// Shows progress to people, and stops the run for signals and the clock.

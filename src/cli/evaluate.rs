@@ -2,28 +2,18 @@
 
 mod table;
 
-use std::collections::HashSet;
 use std::fs;
-
 use std::path::{Path, PathBuf};
 
-use anyhow::Context;
-use indicatif::{ProgressBar, ProgressStyle};
 use perceptile::format::picture::Image;
 use perceptile::format::write::{self, Existing};
 use perceptile::kernel::KernelSpec;
-use perceptile::metric::{
-    Baseline, Class, ClassSpectra, Domain, ScoreOptions, Scorer, Scores, Spectrum, quantized,
-    spectra,
-};
-use perceptile::tile::{Tile, TileShape};
+use perceptile::metric::{Baseline, Class, Domain, Entry, ScoreOptions, Spectrum};
 use serde::Serialize;
 
+use super::candidates::{self, Candidate, DEFAULT_KERNEL, progress};
 use super::print;
 use super::source::SourceArgs;
-
-/// Seed of the comparison tiles.
-const BASELINE_SEED: u64 = 1;
 
 /// Score tiles: perceived error, uniformity, accumulation, quantization.
 ///
@@ -38,7 +28,7 @@ pub struct EvaluateArgs {
     tiles: Vec<PathBuf>,
 
     /// The kernel through which error is seen; of a mixture, its first class.
-    #[arg(long, value_name = "SPEC", default_value = "gaussian(2.1) * fovvideovdp(60) @ 7x7x8")]
+    #[arg(long, value_name = "SPEC", default_value = DEFAULT_KERNEL)]
     kernel: KernelSpec,
 
     /// Print JSON.
@@ -87,27 +77,6 @@ struct Report {
     tiles: Vec<Entry>,
 }
 
-/// One tile.
-#[derive(Debug, Serialize)]
-struct Entry {
-    name: String,
-    /// Where it was read; `None` for a comparison tile.
-    path: Option<PathBuf>,
-    shape: TileShape,
-    scores: Scores,
-    after_8_bits: Scores,
-    after_16_bits: Scores,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    spectra: Option<Vec<ClassSpectra>>,
-}
-
-/// A tile that waits for its scores.
-struct Candidate {
-    name: String,
-    path: Option<PathBuf>,
-    tile: Tile,
-}
-
 /// Scores the tiles and prints what came out.
 ///
 /// # Errors
@@ -134,7 +103,8 @@ pub fn run(args: EvaluateArgs) -> Result<(), anyhow::Error> {
     let mut tiles = Vec::new();
     for candidate in candidates {
         progress.set_message(candidate.name.clone());
-        let entry = evaluate(candidate, &args.kernel, options, args.spectra.is_some(), &progress)?;
+        let (entry, _) =
+            candidate.score(&args.kernel, options, args.spectra.is_some(), &progress)?;
         if let Some(folder) = &args.spectra {
             save_spectra(folder, &entry, existing)?;
         }
@@ -151,7 +121,7 @@ pub fn run(args: EvaluateArgs) -> Result<(), anyhow::Error> {
     })
 }
 
-/// Reads the tiles and makes the comparison tiles; the one to compare with comes first.
+/// The tiles to score; the one to compare with comes first.
 fn candidates(args: &EvaluateArgs) -> Result<Vec<Candidate>, anyhow::Error> {
     let mut paths = args.tiles.clone();
     if let Some(against) = &args.against {
@@ -159,72 +129,12 @@ fn candidates(args: &EvaluateArgs) -> Result<Vec<Candidate>, anyhow::Error> {
         paths.retain(|path| !same_file(path, against));
         paths.insert(0, against.clone());
     }
-    let mut names = HashSet::new();
-    let mut unused = |stem: String| {
-        let name = (1..)
-            .map(|n| if n == 1 { stem.clone() } else { format!("{stem}-{n}") })
-            .find(|name| !names.contains(name))
-            .expect("there is always a larger number");
-        names.insert(name.clone());
-        name
-    };
-    let mut candidates = Vec::new();
-    for path in paths {
-        let source = args.source.at(path);
-        let tile = source.read()?;
-        // A folder's name has no extension, whatever dots it contains.
-        let stem =
-            if source.path.is_dir() { source.path.file_name() } else { source.path.file_stem() };
-        let name = unused(stem.unwrap_or("tile".as_ref()).to_string_lossy().into_owned());
-        candidates.push(Candidate { name, path: Some(source.path), tile });
-    }
-    let shape = candidates[0].tile.shape();
-    for &baseline in &args.baselines {
-        let tile = baseline.tile(shape, BASELINE_SEED);
-        candidates.push(Candidate { name: unused(baseline.to_string()), path: None, tile });
-    }
-    Ok(candidates)
+    candidates::read(paths, &args.source, &args.baselines)
 }
 
 /// Whether two paths lead to one file.
 fn same_file(a: &Path, b: &Path) -> bool {
     a == b || matches!((fs::canonicalize(a), fs::canonicalize(b)), (Ok(a), Ok(b)) if a == b)
-}
-
-fn evaluate(
-    candidate: Candidate,
-    kernel: &KernelSpec,
-    options: ScoreOptions,
-    with_spectra: bool,
-    progress: &ProgressBar,
-) -> Result<Entry, anyhow::Error> {
-    let Candidate { name, path, tile } = candidate;
-    let shape = tile.shape();
-    let context = || format!("cannot score {name}, a tile of {shape}");
-    let kernel = kernel.resolve(shape).with_context(context)?;
-    let scorer = Scorer::new(shape, &kernel.classes()[0].taps, options).with_context(context)?;
-    let score = |tile: &Tile| {
-        let scores = scorer.score(tile);
-        progress.inc(1);
-        scores
-    };
-    Ok(Entry {
-        scores: score(&tile)?,
-        after_8_bits: score(&quantized(&tile, 8))?,
-        after_16_bits: score(&quantized(&tile, 16))?,
-        spectra: with_spectra.then(|| spectra(&tile, options)).transpose()?,
-        name,
-        path,
-        shape,
-    })
-}
-
-/// A bar on the standard error; without a terminal there, nothing.
-fn progress(tiles: usize) -> ProgressBar {
-    let style = ProgressStyle::with_template("{bar:30} {pos}/{len} scores, {eta} left: {msg}")
-        .expect("a valid template");
-    // A tile is scored as it is, and after two quantizations.
-    ProgressBar::new(3 * tiles as u64).with_style(style)
 }
 
 /// Where a spectrum is saved.
@@ -257,6 +167,7 @@ fn draw(spectrum: &Spectrum) -> Result<Image, anyhow::Error> {
 mod tests {
     use clap::Parser;
     use perceptile::metric::Ring;
+    use perceptile::tile::TileShape;
 
     use super::*;
 

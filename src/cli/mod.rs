@@ -2,6 +2,7 @@
 //!
 //! Everything that is printed is printed here; the library never sees a flag.
 
+mod candidates;
 mod carry;
 mod evaluate;
 mod execution;
@@ -120,6 +121,16 @@ fn print(text: &str) -> anyhow::Result<()> {
         }
         _ => Ok(()),
     }
+}
+
+/// Words as one line for a shell.
+fn line(words: impl Iterator<Item = String>) -> String {
+    let quote = |word: String| {
+        let plain = |c: char| c.is_ascii_alphanumeric() || "-_./".contains(c);
+        let bare = !word.is_empty() && word.chars().all(plain);
+        if bare { word } else { format!("'{}'", word.replace('\'', r"'\''")) }
+    };
+    words.map(quote).collect::<Vec<String>>().join(" ")
 }
 
 /// The exit codes of failures, in one place.

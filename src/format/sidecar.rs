@@ -170,6 +170,16 @@ pub fn digest(tile: &Tile) -> String {
     hashed.hexadecimal()
 }
 
+/// The SHA-256 of any file, to be held against that of a sidecar.
+///
+/// # Errors
+/// What keeps the file from being read.
+pub fn file_digest(path: &Path) -> io::Result<String> {
+    let mut hashed = Hashed::new(io::sink());
+    io::copy(&mut File::open(path)?, &mut hashed)?;
+    Ok(hashed.hexadecimal())
+}
+
 /// A point in time as `2026-01-31T23:59:59Z`; times before 1970 count as its first second.
 pub fn utc(time: SystemTime) -> String {
     let seconds = time.duration_since(UNIX_EPOCH).unwrap_or(Duration::ZERO).as_secs();
@@ -239,6 +249,9 @@ mod tests {
         example().write(&path, Existing::Keep).unwrap();
         assert_eq!(Sidecar::read(&path).unwrap(), example());
         assert!(fs::read_to_string(&path).unwrap().ends_with("}\n"));
+        let tile = folder.path().join("tile.npy");
+        npy::write_tile(&small(), &mut File::create(&tile).unwrap()).unwrap();
+        assert_eq!(file_digest(&tile).unwrap(), example().sha256);
     }
 
     #[test]

@@ -237,6 +237,21 @@ impl KernelSpec {
     pub fn classes(&self) -> &[Class] {
         &self.classes
     }
+
+    /// The first class alone, behind one more factor and truncated anew.
+    ///
+    /// # Errors
+    /// A class that takes no factors, and numbers outside their ranges.
+    pub fn followed_by(&self, factor: Factor, truncation: Truncation) -> Result<Self, SpecProblem> {
+        let ClassKind::Product { factors, .. } = &self.classes[0].kind else {
+            let column = self.classes[0].kind == ClassKind::Column;
+            return Err(SpecProblem::Alone { name: if column { "column" } else { "frame" } });
+        };
+        let mut factors = factors.clone();
+        factors.push(factor);
+        let kind = ClassKind::Product { factors, truncation: Some(truncation) };
+        Self::new(vec![Class { weight: 1.0, kind }])
+    }
 }
 
 /// Whether `weight` can be the weight of a class.

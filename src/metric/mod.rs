@@ -3,12 +3,14 @@
 //! `integrand` draws the functions on which tiles are tried, `exact` knows their integrals;
 //! `perceived` measures the error that the eye sees through a kernel (with `fourier`),
 //! `accumulation` what is left of it when frames are averaged, `uniformity` how evenly the whole
-//! tile covers the cube; `scores` puts them together. `spectrum` shows where the error's power
-//! is, `baseline` makes tiles to compare with, and `quantization` what integer textures make of a
-//! tile. Lower is better throughout, and white noise stands at 1.
+//! tile covers the cube; `scores` puts them together, and `entry` those of a tile under its name.
+//! `spectrum` shows where the error's power is, `baseline` makes tiles to compare with, and
+//! `quantization` what integer textures make of a tile. Lower is better throughout, and white
+//! noise stands at 1.
 
 mod accumulation;
 mod baseline;
+mod entry;
 mod error;
 mod exact;
 mod fourier;
@@ -22,10 +24,11 @@ mod uniformity;
 
 pub use accumulation::accumulated_mean_square;
 pub use baseline::{Baseline, UnknownBaseline};
+pub use entry::{Entry, Part};
 pub use error::ScoreError;
 pub use integrand::{Class, Domain, Integrand, IntegrandSet, LEAST_VARIANCE, integrand_sets};
 pub use perceived::{MeanSquares, Perceived, PerceivedWorkspace};
 pub use quantization::quantized;
 pub use scores::{ClassScore, Ratio, ScoreOptions, Scorer, Scores};
 pub use spectrum::{ClassSpectra, Ring, Spectrum, spectra};
-pub use uniformity::{Histogram, histogram, residual};
+pub use uniformity::{Histogram, PairHistogram, histogram, marginals, pair_histograms, residual};

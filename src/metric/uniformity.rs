@@ -23,42 +23,90 @@ pub struct Histogram {
     pub rms: f64,
 }
 
+/// How the samples fill the cells over one pair of dimensions.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PairHistogram {
+    /// The first dimension runs across, the second down; both are 0 where there is only one.
+    pub dims: (usize, usize),
+    /// Cells across and down, equally many; only one row for a single dimension.
+    pub rows: usize,
+    /// Share of each of the `16 · rows` cells relative to the expected one, row by row.
+    pub shares: Vec<f64>,
+}
+
+impl PairHistogram {
+    /// The figures of this pair.
+    pub fn figures(&self) -> Histogram {
+        figures(&self.shares)
+    }
+}
+
+/// Extremes and rms of cells whose expected share is 1.
+fn figures<'a>(shares: impl IntoIterator<Item = &'a f64>) -> Histogram {
+    let (mut smallest, mut largest, mut square, mut count) = (f64::INFINITY, 0.0_f64, 0.0, 0.0);
+    for &share in shares {
+        smallest = smallest.min(share);
+        largest = largest.max(share);
+        square += (share - 1.0) * (share - 1.0);
+        count += 1.0;
+    }
+    Histogram { smallest, largest, rms: (square / count).sqrt() }
+}
+
 /// The histogram figures over all pairs of dimensions: extremes of all, rms over all.
 pub fn histogram(tile: &Tile) -> Histogram {
+    figures(pair_histograms(tile).iter().flat_map(|pair| &pair.shares))
+}
+
+/// The histograms of all pairs of dimensions, or that of the only dimension.
+pub fn pair_histograms(tile: &Tile) -> Vec<PairHistogram> {
     let dims = tile.shape().dims();
     let cell = |x: f32| ((x * SIDE as f32) as usize).min(SIDE - 1);
-    let pairs: Vec<(usize, usize)> = if dims == 1 {
-        vec![(0, 0)]
+    let (pairs, rows): (Vec<(usize, usize)>, usize) = if dims == 1 {
+        (vec![(0, 0)], 1)
     } else {
-        (0..dims).flat_map(|j| (0..j).map(move |i| (i, j))).collect()
+        ((0..dims).flat_map(|j| (0..j).map(move |i| (i, j))).collect(), SIDE)
     };
-    // One pass over the samples for all pairs; a single dimension uses the grid's diagonal.
+    // One pass over the samples for all pairs.
     let mut counts = vec![[[0_u32; SIDE]; SIDE]; pairs.len()];
     let mut cells = vec![0; dims];
     for point in tile.samples().chunks_exact(dims) {
         cells.iter_mut().zip(point).for_each(|(c, &x)| *c = cell(x));
         for (count, &(i, j)) in counts.iter_mut().zip(&pairs) {
-            count[cells[j]][cells[i]] += 1;
+            count[if rows == 1 { 0 } else { cells[j] }][cells[i]] += 1;
         }
     }
-    let used = if dims == 1 { SIDE } else { SIDE * SIDE };
-    let expected = tile.shape().samples() as f64 / used as f64;
-    let shares: Vec<f64> = counts
-        .iter()
-        .flat_map(|count| {
-            (0..SIDE * SIDE).filter_map(move |k| {
-                let (i, j) = (k % SIDE, k / SIDE);
-                (dims > 1 || i == j).then(|| f64::from(count[j][i]))
-            })
+    let expected = tile.shape().samples() as f64 / (SIDE * rows) as f64;
+    let share = |&count: &u32| f64::from(count) / expected;
+    pairs
+        .into_iter()
+        .zip(&counts)
+        .map(|(dims, count)| PairHistogram {
+            dims,
+            rows,
+            shares: count[..rows].iter().flatten().map(share).collect(),
         })
-        .map(|count| count / expected)
-        .collect();
-    let square = shares.iter().map(|share| (share - 1.0) * (share - 1.0)).sum::<f64>();
-    Histogram {
-        smallest: shares.iter().copied().fold(f64::INFINITY, f64::min),
-        largest: shares.iter().copied().fold(0.0, f64::max),
-        rms: (square / shares.len() as f64).sqrt(),
+        .collect()
+}
+
+/// For each dimension, how its coordinates fill `bins` equal intervals, relative to the expected
+/// share.
+///
+/// # Panics
+/// If there are no bins.
+pub fn marginals(tile: &Tile, bins: usize) -> Vec<Vec<f64>> {
+    let dims = tile.shape().dims();
+    let mut counts = vec![vec![0_u64; bins]; dims];
+    for point in tile.samples().chunks_exact(dims) {
+        for (count, &x) in counts.iter_mut().zip(point) {
+            count[((x * bins as f32) as usize).min(bins - 1)] += 1;
+        }
     }
+    let expected = tile.shape().samples() as f64 / bins as f64;
+    counts
+        .iter()
+        .map(|count| count.iter().map(|&count| count as f64 / expected).collect())
+        .collect()
 }
 
 /// Per dimension: rms over the pixels of (mean over all frames and samples − ½), relative to that
@@ -125,6 +173,22 @@ mod tests {
         let samples = (0..32).map(|i| i as f32 / 32.0).collect();
         let found = histogram(&Tile::new(shape, samples).unwrap());
         assert_eq!(found, Histogram { smallest: 1.0, largest: 1.0, rms: 0.0 });
+    }
+
+    #[test]
+    fn cells_and_bins_are_where_their_samples_are() {
+        // All samples but one in one place.
+        let shape = TileShape::new(32, 1, 1, 1, 2).unwrap();
+        let mut samples = [0.30, 0.99].repeat(32);
+        samples[..2].copy_from_slice(&[0.95, 0.01]);
+        let tile = Tile::new(shape, samples).unwrap();
+        let [pair] = &pair_histograms(&tile)[..] else { panic!() };
+        assert_eq!((pair.dims, pair.rows, pair.shares.len()), ((0, 1), 16, 256));
+        assert_eq!((pair.shares[15 * 16 + 4], pair.shares[15]), (31.0 * 8.0, 8.0));
+        assert_eq!(pair.figures(), histogram(&tile));
+        let bins = marginals(&tile, 4);
+        assert_eq!(bins[0], [0.0, 31.0 / 8.0, 0.0, 1.0 / 8.0]);
+        assert_eq!(bins[1], [1.0 / 8.0, 0.0, 0.0, 31.0 / 8.0]);
     }
 
     #[test]

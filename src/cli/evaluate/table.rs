@@ -1,8 +1,8 @@
 //! The scores as a table for people.
 
-use perceptile::metric::{Class, ClassScore, Domain, Ratio, Scores};
+use perceptile::metric::{Class, Domain, Entry, Part, Ratio};
 
-use super::{Entry, Report};
+use super::Report;
 
 /// Characters of a column of numbers.
 const COLUMN: usize = 16;
@@ -11,27 +11,11 @@ const HISTOGRAM: usize = 20;
 
 /// One block of the table: one score in one domain, a row per tile.
 struct Section {
-    title: &'static str,
+    part: Part,
     domain: Domain,
-    /// Which of a tile's scores.
-    scores: fn(&Entry) -> &Scores,
-    /// Which score of a class.
-    ratio: fn(&ClassScore) -> Option<Ratio>,
     /// Whether to show the figures of the whole tile.
     uniformity: bool,
 }
-
-/// Title, scores, ratio: what is shown of each domain, in this order.
-type Part = (&'static str, fn(&Entry) -> &Scores, fn(&ClassScore) -> Option<Ratio>);
-
-const PARTS: [Part; 6] = [
-    ("perceived error", |e| &e.scores, |c| Some(c.perceived)),
-    ("perceived error after 8 bits", |e| &e.after_8_bits, |c| Some(c.perceived)),
-    ("perceived error after 16 bits", |e| &e.after_16_bits, |c| Some(c.perceived)),
-    ("mean of half a period", |e| &e.scores, |c| c.half_period),
-    ("mean of a whole period", |e| &e.scores, |c| Some(c.whole_period)),
-    ("mean of a whole period, perceived", |e| &e.scores, |c| c.whole_period_perceived),
-];
 
 /// The whole text that the command prints.
 pub(super) fn table(report: &Report) -> String {
@@ -46,10 +30,9 @@ pub(super) fn table(report: &Report) -> String {
     let domains = report.tiles.iter().map(|entry| Domain::of(entry.shape.dims()));
     let domains = domains.max_by_key(|domains| domains.len()).unwrap_or(&[]);
     for &domain in domains {
-        for (title, scores, ratio) in PARTS {
-            let uniformity = title == PARTS[0].0 && domain == Domain::All;
-            let section = Section { title, domain, scores, ratio, uniformity };
-            lines.extend(section.lines(report));
+        for (place, part) in Part::ALL.into_iter().enumerate() {
+            let uniformity = place == 0 && domain == Domain::All;
+            lines.extend(Section { part, domain, uniformity }.lines(report));
         }
     }
     lines.push(String::new());
@@ -78,7 +61,7 @@ impl Section {
             .unwrap_or(0)
             + 2;
         let pairs = if self.domain == Domain::Pairs { ", random pairs of dimensions" } else { "" };
-        let mut lines = vec![String::new(), format!("{}{pairs}", self.title)];
+        let mut lines = vec![String::new(), format!("{}{pairs}", self.part.title)];
         let mut heading = " ".repeat(label);
         heading.extend(Class::ALL.map(|class| format!("{class:>COLUMN$}")));
         if self.uniformity {
@@ -100,7 +83,7 @@ impl Section {
     fn ratios(&self, entry: &Entry) -> Option<Vec<Ratio>> {
         Class::ALL
             .iter()
-            .map(|&class| (self.ratio)((self.scores)(entry).class(class, self.domain)?))
+            .map(|&class| (self.part.ratio)((self.part.scores)(entry).class(class, self.domain)?))
             .collect()
     }
 
@@ -110,7 +93,7 @@ impl Section {
             row += &format!("{:>COLUMN$}", format!("{mean:.4} ±{standard_error:.4}"));
         }
         if self.uniformity {
-            let scores = (self.scores)(entry);
+            let scores = (self.part.scores)(entry);
             let histogram = scores.histogram;
             let cells = format!(
                 "{:.2}–{:.2} ({:.4})",
@@ -140,7 +123,7 @@ impl Section {
         let mut row = format!("{against:label$}");
         row.extend(ours.iter().zip(&theirs).map(|(a, b)| quotient(a.mean, b.mean)));
         if self.uniformity {
-            let (ours, theirs) = ((self.scores)(entry), (self.scores)(reference));
+            let (ours, theirs) = ((self.part.scores)(entry), (self.part.scores)(reference));
             let plain = |ours: f64, theirs: f64| quotient(ours, theirs).trim().to_owned();
             row += &format!("{:>COLUMN$}", plain(ours.bias, theirs.bias));
             row += &format!("{:>HISTOGRAM$}", plain(ours.histogram.rms, theirs.histogram.rms));
@@ -152,7 +135,7 @@ impl Section {
 
 #[cfg(test)]
 mod tests {
-    use perceptile::metric::{Histogram, ScoreOptions};
+    use perceptile::metric::{ClassScore, Histogram, ScoreOptions, Scores};
     use perceptile::tile::TileShape;
 
     use super::*;

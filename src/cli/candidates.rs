@@ -1,0 +1,97 @@
+//! The tiles that a command compares: read, named, joined by comparison tiles, and scored.
+
+use std::collections::HashSet;
+use std::path::PathBuf;
+
+use anyhow::Context;
+use indicatif::{ProgressBar, ProgressStyle};
+use perceptile::kernel::{KernelSpec, KernelTaps};
+use perceptile::metric::{Baseline, Entry, ScoreOptions};
+use perceptile::tile::Tile;
+
+use super::source::SourceArgs;
+
+/// The kernel through which error is seen unless another is given.
+pub const DEFAULT_KERNEL: &str = "gaussian(2.1) * fovvideovdp(60) @ 7x7x8";
+
+/// Seed of the comparison tiles.
+const BASELINE_SEED: u64 = 1;
+
+/// A tile that waits for its scores.
+pub struct Candidate {
+    /// What it is called, other than the others.
+    pub name: String,
+    /// Where it was read; `None` for a comparison tile.
+    pub path: Option<PathBuf>,
+    /// The tile.
+    pub tile: Tile,
+}
+
+/// Reads the tiles, and makes the comparison tiles in the shape of the first.
+///
+/// # Errors
+/// The first tile that cannot be read.
+pub fn read(
+    paths: Vec<PathBuf>,
+    source: &SourceArgs,
+    baselines: &[Baseline],
+) -> Result<Vec<Candidate>, anyhow::Error> {
+    let mut names = HashSet::new();
+    let mut unused = |stem: String| {
+        let name = (1..)
+            .map(|n| if n == 1 { stem.clone() } else { format!("{stem}-{n}") })
+            .find(|name| !names.contains(name))
+            .expect("there is always a larger number");
+        names.insert(name.clone());
+        name
+    };
+    let mut candidates: Vec<Candidate> = Vec::new();
+    for path in paths {
+        let source = source.at(path);
+        let tile = source.read()?;
+        // A folder's name has no extension, whatever dots it contains.
+        let stem =
+            if source.path.is_dir() { source.path.file_name() } else { source.path.file_stem() };
+        let name = unused(stem.unwrap_or("tile".as_ref()).to_string_lossy().into_owned());
+        candidates.push(Candidate { name, path: Some(source.path), tile });
+    }
+    if let Some(shape) = candidates.first().map(|first| first.tile.shape()) {
+        for &baseline in baselines {
+            let tile = baseline.tile(shape, BASELINE_SEED);
+            candidates.push(Candidate { name: unused(baseline.to_string()), path: None, tile });
+        }
+    }
+    Ok(candidates)
+}
+
+impl Candidate {
+    /// The tile's scores, and the kernel behind which they were measured.
+    ///
+    /// # Errors
+    /// A kernel that does not fit the tile, and options out of range.
+    pub fn score(
+        &self,
+        kernel: &KernelSpec,
+        options: ScoreOptions,
+        with_spectra: bool,
+        progress: &ProgressBar,
+    ) -> Result<(Entry, KernelTaps), anyhow::Error> {
+        let Self { name, path, tile } = self;
+        let shape = tile.shape();
+        let context = || format!("cannot score {name}, a tile of {shape}");
+        let kernel = kernel.resolve(shape).with_context(context)?;
+        let taps = kernel.classes()[0].taps.clone();
+        let (name, path) = (name.clone(), path.clone());
+        let entry = Entry::of(name, path, tile, &taps, options, with_spectra, || progress.inc(1))
+            .with_context(context)?;
+        Ok((entry, taps))
+    }
+}
+
+/// A bar on the standard error; without a terminal there, nothing.
+pub fn progress(tiles: usize) -> ProgressBar {
+    let style = ProgressStyle::with_template("{bar:30} {pos}/{len} scores, {eta} left: {msg}")
+        .expect("a valid template");
+    // A tile is scored as it is, and after two quantizations.
+    ProgressBar::new(3 * tiles as u64).with_style(style)
+}
