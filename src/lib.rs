@@ -11,8 +11,8 @@
 //!  spec→taps  cells'    project,     patches    phases, files
 //!             draws     rank, pull   → Adam     observer
 //!                 ╲        ╱           ├─► profile    └─► metric  scores, spectra
-//!             tile: shape, cells, blocks,  stages, caches, roofline
-//!             rows (all index arithmetic)
+//!             tile: shape, cells, blocks,  stages,         └─► report  a page with an animation
+//!             rows (all index arithmetic)  caches, roofline
 //! ```
 //!
 //! Arrows run one way. A step of the solver ([`solver::Descent::step`]) has two halves. In the
@@ -45,6 +45,7 @@ pub mod gradient;
 pub mod kernel;
 pub mod metric;
 pub mod profile;
+pub mod report;
 pub mod run;
 pub mod solver;
 pub mod tile;

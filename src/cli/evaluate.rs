@@ -5,10 +5,10 @@ mod table;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use perceptile::format::picture::Image;
 use perceptile::format::write::{self, Existing};
 use perceptile::kernel::KernelSpec;
-use perceptile::metric::{Baseline, Class, Domain, Entry, ScoreOptions, Spectrum};
+use perceptile::metric::{Baseline, Class, Domain, Entry, ScoreOptions};
+use perceptile::report::pictures::spectrum_picture;
 use serde::Serialize;
 
 use super::candidates::{self, Candidate, DEFAULT_KERNEL, progress};
@@ -148,25 +148,15 @@ fn save_spectra(folder: &Path, entry: &Entry, existing: Existing) -> Result<(), 
     for spectra in entry.spectra.iter().flatten() {
         for (plane, spectrum) in [("xy", &spectra.xy), ("xt", &spectra.xt)] {
             let path = picture(folder, &entry.name, spectra.class, spectra.domain, plane);
-            draw(spectrum)?.save(&path, existing)?;
+            spectrum_picture(spectrum).save(&path, existing)?;
         }
     }
     Ok(())
 }
 
-/// Amplitude as brightness, white noise's in the middle: the square root keeps apart the low
-/// powers that matter.
-fn draw(spectrum: &Spectrum) -> Result<Image, anyhow::Error> {
-    let gray = |x: usize, y: usize| {
-        (127.5 * spectrum.power[y * spectrum.width + x].sqrt()).min(255.0) as u8
-    };
-    Ok(Image::gray(spectrum.width, spectrum.height, gray)?)
-}
-
 #[cfg(test)]
 mod tests {
     use clap::Parser;
-    use perceptile::metric::Ring;
     use perceptile::tile::TileShape;
 
     use super::*;
@@ -235,13 +225,5 @@ mod tests {
         let error = run(parse(&line)).unwrap_err();
         assert!(error.to_string().contains("exist"), "{error}");
         run(parse(&[&line[..], &["--force"]].concat())).unwrap();
-    }
-
-    #[test]
-    fn white_noise_is_drawn_in_mid_gray() {
-        let radial = vec![Ring { frequency: 0.0, power: 1.0 }];
-        let power = vec![0.0, 1.0, 0.01, 100.0];
-        let picture = draw(&Spectrum { width: 2, height: 2, power, radial }).unwrap();
-        assert_eq!(picture.data(), [0, 127, 12, 255]);
     }
 }

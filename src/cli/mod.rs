@@ -11,6 +11,7 @@ mod kernel;
 mod optimize;
 mod profile;
 mod ranks;
+mod report;
 mod resume;
 mod settings;
 mod source;
@@ -24,6 +25,7 @@ use clap::{Parser, Subcommand};
 use perceptile::format::write::WriteError;
 use perceptile::kernel::{KernelError, ResolveProblem};
 use perceptile::metric::ScoreError;
+use perceptile::report::ReportError;
 #[cfg(unix)]
 use perceptile::run::crew::CrewError;
 use perceptile::run::folder::FolderError;
@@ -52,6 +54,7 @@ enum Command {
     Kernel(kernel::KernelArgs),
     Export(export::ExportArgs),
     Profile(Box<profile::ProfileArgs>),
+    Report(report::ReportArgs),
     /// Take part in a run as one of its workers; started by a coordinator only
     #[command(name = WORKER, hide = true)]
     Worker,
@@ -89,6 +92,7 @@ pub fn main() -> ExitCode {
         Command::Kernel(args) => kernel::run(args).map(|()| ExitCode::SUCCESS),
         Command::Export(args) => export::run(args).map(|()| ExitCode::SUCCESS),
         Command::Profile(args) => profile::run(*args).map(|()| ExitCode::SUCCESS),
+        Command::Report(args) => report::run(args).map(|()| ExitCode::SUCCESS),
         Command::Worker => work().map(|()| ExitCode::SUCCESS),
     });
     result.unwrap_or_else(|error| {
@@ -149,6 +153,10 @@ fn exit_code(error: &anyhow::Error) -> u8 {
     }
     if matches!(error.downcast_ref(), Some(WriteError::Exists { .. }))
         || matches!(error.downcast_ref(), Some(FolderError::Unfinished { .. }))
+        || matches!(
+            error.downcast_ref(),
+            Some(ReportError::Write(WriteError::Exists { .. }) | ReportError::Foreign { .. })
+        )
     {
         3
     } else if error.is::<MemoryError>()

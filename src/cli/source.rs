@@ -27,4 +27,15 @@ impl SourceArgs {
     pub fn at(&self, path: PathBuf) -> TileSource {
         TileSource { path, channels: self.channels.clone(), spp: self.spp, frames: self.frames }
     }
+
+    /// The flags that say the same.
+    pub fn command_line(&self) -> Vec<String> {
+        let flags = [
+            ("--channels", self.channels.as_ref().map(ToString::to_string)),
+            ("--spp", self.spp.map(|spp| spp.to_string())),
+            ("--frames", self.frames.map(|frames| frames.to_string())),
+        ];
+        let given = |(flag, value): (&str, Option<String>)| Some([flag.to_owned(), value?]);
+        flags.into_iter().filter_map(given).flatten().collect()
+    }
 }

@@ -11,6 +11,7 @@ mod metric;
 mod profile;
 #[cfg(all(target_os = "linux", feature = "mpi"))]
 mod ranks;
+mod report;
 #[cfg(target_os = "linux")]
 mod resume;
 mod solver;

@@ -1,0 +1,197 @@
+//! What the page says of one tile.
+
+use maud::{Markup, html};
+
+use super::super::card::{Card, Shown, Window};
+use super::super::pictures::{FULL, MOST};
+use super::super::plot::{Axis, Plot};
+use super::super::provenance::{Match, Provenance};
+use super::{command, figure, scores, zoom};
+use crate::format::sidecar::Sidecar;
+
+/// Histograms of pairs that are shown without asking for more.
+const PAIRS: usize = 6;
+
+/// Everything about one tile.
+pub(super) fn article(number: usize, card: &Card) -> Markup {
+    let shape = card.entry.shape;
+    let factor = zoom(shape.width().max(shape.frames()), shape.height().max(shape.frames()));
+    let large = shape.width().max(shape.height()).max(shape.frames()) > MOST;
+    html! {
+        article.tile #{ "tile-" (number) } aria-labelledby={ "tile-" (number) "-name" } {
+            h3 #{ "tile-" (number) "-name" } { (card.title) }
+            p.muted {
+                (shape.to_string())
+                @if let Some(path) = &card.entry.path { ", " code { (path.display().to_string()) } }
+            }
+            h4 { "Samples" }
+            @if large {
+                p.muted { "Only the upper left " (MOST) " pixels or frames are shown." }
+            }
+            div.pictures {
+                @for (slice, caption) in card.slices.iter().zip([
+                    "A frame (time 0)",
+                    "An XT slice: the first row of every frame, time down",
+                    "A YT slice: the first column of every frame, time across",
+                ]) {
+                    figure { (pixels(slice, factor, caption, &card.title)) figcaption { (caption) } }
+                }
+            }
+            h4 { "Spectra of the error" }
+            p.muted {
+                "Mean over the classes of functions that read all dimensions. Brightness is \
+                 amplitude, white noise's is mid-gray. Lines: the kernel's window of visibility, \
+                 half of its largest amplitude (solid) and 20 dB below it (dashed)."
+            }
+            div.pictures {
+                @for (window, caption) in card.spectra.iter().zip([
+                    "XY, mean over all frames; the window is that of temporal frequency 0",
+                    "XT, mean over all rows, temporal frequency down; the window is that of f_y = 0",
+                ]) {
+                    figure { (spectrum(window, caption, &card.title)) figcaption { (caption) } }
+                }
+            }
+            (radial(number, card))
+            (histograms(number, card))
+            details {
+                summary { "All scores of " (card.title) }
+                (scores::of_tile(&card.entry))
+            }
+            h4 { "Where it comes from" }
+            (provenance(number, card))
+        }
+    }
+}
+
+/// A picture whose pixels stay squares.
+fn pixels(shown: &Shown, factor: usize, caption: &str, title: &str) -> Markup {
+    html! {
+        div.scroll tabindex="0" role="region" aria-label={ (caption) ", " (title) } {
+            img.pixels src=(shown.file) width=(shown.width) height=(shown.height) loading="lazy"
+                alt={ (caption) " of " (title) }
+                style={ "width:" (shown.width * factor) "px" };
+        }
+    }
+}
+
+fn spectrum(window: &Window, caption: &str, title: &str) -> Markup {
+    let Shown { file, width, height } = &window.picture;
+    let factor = zoom(*width, *height);
+    let [half, far] = &window.contours;
+    html! {
+        div.scroll tabindex="0" role="region" aria-label={ "Spectrum " (caption) ", " (title) } {
+            div.window style={ "width:" (width * factor) "px" } {
+                img.pixels src=(file) width=(width) height=(height) loading="lazy"
+                    alt={ "Spectrum of the error of " (title) ": " (caption) }
+                    style={ "width:" (width * factor) "px" };
+                svg viewBox={ "0 0 " (width) " " (height) } preserveAspectRatio="none"
+                    role="img" aria-label="Window of visibility" {
+                    path.case d={ (half) (far) } {}
+                    path.half d=(half) {}
+                    path.far d=(far) {}
+                }
+            }
+        }
+    }
+}
+
+fn radial(number: usize, card: &Card) -> Markup {
+    Plot {
+        title: format!("{}: error by fineness", card.title),
+        x: Axis {
+            label: "distance from frequency 0, cycles per pixel or frame".into(),
+            log: false,
+            shows: vec![0.0],
+        },
+        y: Axis { label: "power, white noise is 1".into(), log: true, shows: vec![1.0] },
+        series: card.radial.to_vec(),
+    }
+    .markup(&format!("radial-{number}"))
+}
+
+fn histograms(number: usize, card: &Card) -> Markup {
+    let (first, more) = card.pairs.split_at(card.pairs.len().min(PAIRS));
+    let percent = format!("{:.0}", 100.0 * FULL);
+    html! {
+        h4 { "Histograms" }
+        p.muted {
+            "Share of the samples in each cell, relative to an even share. Gray is even, blue is \
+             less, orange is more; full colour is " (percent) " % off."
+        }
+        div.pictures.heat { @for pair in first { (heat(pair, &card.title)) } }
+        @if !more.is_empty() {
+            details {
+                summary { "The other " (more.len()) " pairs of dimensions" }
+                div.pictures.heat { @for pair in more { (heat(pair, &card.title)) } }
+            }
+        }
+        (Plot {
+            title: format!("{}: histogram of each coordinate", card.title),
+            x: Axis { label: "coordinate".into(), log: false, shows: vec![0.0, 1.0] },
+            y: Axis {
+                label: "share, even is 1".into(),
+                log: false,
+                shows: vec![1.0 - FULL, 1.0 + FULL],
+            },
+            series: card.marginals.clone(),
+        }
+        .markup(&format!("marginals-{number}")))
+    }
+}
+
+fn heat((histogram, shown): &(crate::metric::PairHistogram, Shown), title: &str) -> Markup {
+    let (i, j) = histogram.dims;
+    let name =
+        if i == j { format!("dimension {i}") } else { format!("dimensions {i} (across) and {j}") };
+    let figures = histogram.figures();
+    html! {
+        figure {
+            img.pixels src=(shown.file) width=(shown.width) height=(shown.height) loading="lazy"
+                alt={ "Histogram of " (name) " of " (title) }
+                style={ "width:" (shown.width * 8) "px" };
+            figcaption {
+                (name) br; "least " (figure(figures.smallest)) ", most " (figure(figures.largest))
+                ", rms " (figure(figures.rms))
+            }
+        }
+    }
+}
+
+fn provenance(number: usize, card: &Card) -> Markup {
+    match &card.provenance {
+        Provenance::Comparison => html! {
+            p { "Made for this comparison, in the shape of the first tile." }
+        },
+        Provenance::Unknown => html! {
+            p { "There is no sidecar beside this tile: where it comes from is not known." }
+        },
+        Provenance::Unreadable(error) => html! {
+            p { "The sidecar beside this tile cannot be used: " (error.to_string()) "." }
+        },
+        Provenance::Known(sidecar, same) => known(number, sidecar, *same),
+    }
+}
+
+fn known(number: usize, sidecar: &Sidecar, same: Match) -> Markup {
+    let verdict = match same {
+        Match::Same => "the file still matches",
+        Match::Other => "the file does not match: it is not the tile that this tells of",
+        Match::Unread => "the file could not be read again",
+    };
+    html! {
+        dl.facts {
+            dt { "Made by" }
+            dd { (sidecar.program) " " (sidecar.version) }
+            dt { "Finished" }
+            dd { (sidecar.created) ", after " (figure(sidecar.seconds)) " s" }
+            dt { "Kernel" }
+            dd { code { (sidecar.kernel) } }
+            dt { "Seed" }
+            dd { (sidecar.seed) }
+            dt { "SHA-256" }
+            dd { code { (sidecar.sha256) } br; strong { (verdict) } }
+        }
+        p.muted { "The command that makes it again:" }
+        (command(&format!("tile-{number}-command"), &sidecar.command))
+    }
+}

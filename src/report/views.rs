@@ -1,0 +1,207 @@
+//! The ways in which the viewer shows error: raw, as perceived, behind temporal anti-aliasing
+//! (TAA), and both.
+
+use serde::Serialize;
+
+use super::planes::Planes;
+use super::samples::Crop;
+use crate::kernel::{
+    Class, ClassKind, Factor, KernelClass, KernelError, KernelSpec, SpecProblem, Truncation,
+};
+use crate::tile::TileShape;
+
+/// Part of its weight that a kernel with TAA must keep in the frames of the shortest tile, to be
+/// shown.
+const LEAST_KEPT: f64 = 0.9;
+
+/// One view, for the viewer.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub(super) struct View {
+    pub name: &'static str,
+    /// `None` for the error itself.
+    pub kernel: Option<Planes>,
+    /// Its text form.
+    #[serde(skip)]
+    pub text: Option<String>,
+}
+
+/// The views of a report, and those that it has to do without.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Views {
+    pub shown: Vec<View>,
+    /// Name and reason.
+    pub left_out: Vec<(&'static str, String)>,
+}
+
+impl Views {
+    /// The views for tiles of which the viewer has these parts; `shape` is the first tile's.
+    ///
+    /// # Errors
+    /// A kernel that does not fit the first tile.
+    pub fn new(
+        kernel: &KernelSpec,
+        alpha: f64,
+        shape: TileShape,
+        parts: &[Crop],
+    ) -> Result<Self, KernelError> {
+        let least = |side: fn(&Crop) -> usize| parts.iter().map(side).min().unwrap_or(1);
+        let room = Room {
+            width: least(|part| part.width),
+            height: least(|part| part.height),
+            frames: least(|part| part.frames),
+        };
+        let resolved = kernel.resolve(shape)?;
+        let perceived = &resolved.classes()[0];
+        let mut views = Self {
+            shown: vec![View { name: "Raw", kernel: None, text: None }],
+            left_out: Vec::new(),
+        };
+        let average = Factor::Ema { alpha };
+        let alone = single(ClassKind::Product { factors: vec![average.clone()], truncation: None });
+        let alone = alone.map_err(|problem| problem.to_string()).and_then(|spec| {
+            let long = spec.resolve_without_tile().map_err(|error| error.to_string())?;
+            Ok(long.classes()[0].taps.size()[2] as usize)
+        });
+        views.add("As perceived", room.planes(perceived));
+        views.add(
+            "With TAA",
+            alone.clone().and_then(|frames| {
+                let nothing = ClassKind::Product { factors: vec![Factor::None], truncation: None };
+                let nothing = single(nothing).map_err(|problem| problem.to_string())?;
+                room.averaged(&nothing, &average, [1, 1, frames], 1.0)
+            }),
+        );
+        views.add(
+            "TAA, as perceived",
+            alone.and_then(|frames| {
+                let (low, high) = perceived.taps.bounds();
+                let side = |low: i32, high: i32| {
+                    2 * low.unsigned_abs().max(high.unsigned_abs()) as usize + 1
+                };
+                let long = perceived.taps.size()[2] as usize + frames - 1;
+                let size = [side(low.x, high.x), side(low.y, high.y), long];
+                let kept = 1.0 - perceived.dropped.time.unwrap_or(0.0);
+                room.averaged(kernel, &average, size, kept)
+            }),
+        );
+        Ok(views)
+    }
+
+    fn add(&mut self, name: &'static str, view: Result<(Planes, String), String>) {
+        match view {
+            Ok((planes, text)) => {
+                self.shown.push(View { name, kernel: Some(planes), text: Some(text) });
+            }
+            Err(reason) => self.left_out.push((name, reason)),
+        }
+    }
+}
+
+/// A kernel of one class.
+fn single(kind: ClassKind) -> Result<KernelSpec, SpecProblem> {
+    KernelSpec::new(vec![Class { weight: 1.0, kind }])
+}
+
+/// The smallest size of all parts: what a kernel may extend over.
+struct Room {
+    width: usize,
+    height: usize,
+    frames: usize,
+}
+
+impl Room {
+    fn planes(&self, class: &KernelClass) -> Result<(Planes, String), String> {
+        let [width, height, frames] = class.taps.size().map(|n| n as usize);
+        if width > self.width || height > self.height || frames > self.frames {
+            return Err(format!(
+                "its kernel of {width}x{height}x{frames} is wider than the part of a tile that the viewer has, {}x{}x{}",
+                self.width, self.height, self.frames
+            ));
+        }
+        let planes = Planes::of(&class.taps).ok_or("its kernel has too many weights for a page")?;
+        Ok((planes, class.text.clone()))
+    }
+
+    /// The first class of a kernel behind an average over time, in a box of at most that size. At
+    /// least `LEAST_KEPT` of the part `kept` of its weight must be inside.
+    fn averaged(
+        &self,
+        kernel: &KernelSpec,
+        average: &Factor,
+        [width, height, frames]: [usize; 3],
+        kept: f64,
+    ) -> Result<(Planes, String), String> {
+        let frames = frames.min(self.frames);
+        let size = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
+        let truncation =
+            Truncation::Box { width: size(width), height: size(height), frames: size(frames) };
+        let spec = kernel
+            .followed_by(average.clone(), truncation)
+            .map_err(|problem| problem.to_string())?;
+        let resolved = spec.resolve_without_tile().map_err(|error| error.to_string())?;
+        let class = &resolved.classes()[0];
+        let inside = 1.0 - class.dropped.time.unwrap_or(0.0);
+        if inside < LEAST_KEPT * kept {
+            return Err(format!(
+                "its kernel has only {:.0} % of its weight in {frames} frames, as many as the shortest tile has",
+                100.0 * inside
+            ));
+        }
+        self.planes(class)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const KERNEL: &str = "gaussian(2.1) * fovvideovdp(60) @ 7x7x8";
+
+    fn views(kernel: &str, alpha: f64, sizes: &[[usize; 3]]) -> Views {
+        let shapes: Vec<TileShape> =
+            sizes.iter().map(|&[w, h, f]| TileShape::new(w, h, f, 1, 2).unwrap()).collect();
+        let parts: Vec<Crop> = shapes.iter().map(|&shape| Crop::of(shape)).collect();
+        Views::new(&kernel.parse().unwrap(), alpha, shapes[0], &parts).unwrap()
+    }
+
+    fn names(views: &Views) -> Vec<&'static str> {
+        views.shown.iter().map(|view| view.name).collect()
+    }
+
+    #[test]
+    fn a_tile_of_usual_size_has_all_four_views() {
+        let all = views(KERNEL, 0.2, &[[64, 64, 16]]);
+        assert_eq!(names(&all), ["Raw", "As perceived", "With TAA", "TAA, as perceived"]);
+        assert!(all.left_out.is_empty());
+        let text = |i: usize| all.shown[i].text.as_deref();
+        assert_eq!(text(1), Some(KERNEL));
+        assert_eq!(text(3), Some("gaussian(2.1) * fovvideovdp(60) * ema(0.2) @ 7x7x16"));
+        // The average alone: weights fall by 1 − α from frame to frame.
+        let average = all.shown[2].kernel.as_ref().unwrap();
+        assert_eq!(average.planes.len(), 1);
+        let scales: Vec<f64> = average.slices.iter().map(|slice| slice.scale).collect();
+        assert_eq!(scales.len(), 16);
+        assert!(scales.windows(2).all(|pair| (pair[0] / pair[1] - 0.8).abs() < 1e-9));
+    }
+
+    #[test]
+    fn the_average_of_a_kernel_without_a_box_is_boxed() {
+        let all = views("gaussian(2, radius=2)", 0.5, &[[64, 64, 16]]);
+        let text = all.shown[3].text.as_deref();
+        assert_eq!(text, Some("gaussian(2, radius=2) * ema(0.5) @ 5x5x6"));
+    }
+
+    #[test]
+    fn views_that_do_not_fit_are_left_out_with_a_reason() {
+        let short = views(KERNEL, 0.2, &[[64, 64, 16], [64, 64, 8]]);
+        assert_eq!(names(&short), ["Raw", "As perceived"]);
+        assert!(short.left_out[0].1.contains("83 % of its weight in 8 frames"), "{short:?}");
+        let shorter = views(KERNEL, 0.2, &[[64, 64, 16], [64, 64, 4]]);
+        assert_eq!(names(&shorter), ["Raw"]);
+        // A column takes no factor.
+        let column = views("column", 0.2, &[[64, 64, 16]]);
+        assert_eq!(names(&column), ["Raw", "As perceived", "With TAA"]);
+        let wide = views("gaussian(90, radius=200)", 0.2, &[[512, 512, 16]]);
+        assert_eq!(names(&wide), ["Raw", "With TAA"]);
+    }
+}
