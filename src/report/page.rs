@@ -16,14 +16,26 @@ use super::renders::Renders;
 use super::views::{View, Views};
 
 /// What the page may load: its own folder, and what its scripts make.
-const POLICY: &str = "default-src 'none'; img-src 'self' data: blob:; style-src 'unsafe-inline'; \
-                      script-src 'self' 'unsafe-inline' blob:; worker-src blob:; base-uri 'none'; \
+const POLICY: &str = "default-src 'none'; img-src 'self' file: data:; style-src 'unsafe-inline'; \
+                      script-src 'self' file: 'unsafe-inline'; worker-src blob:; base-uri 'none'; \
                       form-action 'none'";
 const STYLE: &str = include_str!("page.css");
 const SCRIPT: &str = include_str!("page.js");
 const VIEWER_STYLE: &str = include_str!("viewer/viewer.css");
-/// The parts of the viewer, in the order in which they run.
-const VIEWER_SCRIPTS: [&str; 1] = [include_str!("viewer/viewer.js")];
+/// The parts of the viewer, in the order in which they run. They share one element, because its
+/// worker is started from that element's text.
+const VIEWER_SCRIPTS: [&str; 10] = [
+    include_str!("viewer/integrands.js"),
+    include_str!("viewer/filter.js"),
+    include_str!("viewer/work.js"),
+    include_str!("viewer/player.js"),
+    include_str!("viewer/controls.js"),
+    include_str!("viewer/compare.js"),
+    include_str!("viewer/panes.js"),
+    include_str!("viewer/tiles.js"),
+    include_str!("viewer/scenes.js"),
+    include_str!("viewer/viewer.js"),
+];
 
 /// What the viewer shows.
 #[derive(Serialize)]

@@ -4,7 +4,7 @@ use maud::{Markup, html};
 
 use super::super::card::{Card, Shown, Window};
 use super::super::pictures::{FULL, MOST};
-use super::super::plot::{Axis, Plot};
+use super::super::plot::{Axis, Plot, Series};
 use super::super::provenance::{Match, Provenance};
 use super::{command, figure, scores, zoom};
 use crate::format::sidecar::Sidecar;
@@ -57,6 +57,14 @@ pub(super) fn article(number: usize, card: &Card) -> Markup {
                 summary { "All scores of " (card.title) }
                 (scores::of_tile(&card.entry))
             }
+            @if let Some(plot) = convergence(card) {
+                h4 { "Convergence" }
+                p.muted {
+                    "What the draws of single steps found before they moved the samples. The \
+                     polish and the uniformity step come after it."
+                }
+                (plot.markup(&format!("convergence-{number}")))
+            }
             h4 { "Where it comes from" }
             (provenance(number, card))
         }
@@ -107,6 +115,22 @@ fn radial(number: usize, card: &Card) -> Markup {
         series: card.radial.to_vec(),
     }
     .markup(&format!("radial-{number}"))
+}
+
+/// How the descent went, if the tile's provenance says so.
+fn convergence(card: &Card) -> Option<Plot> {
+    let Provenance::Known(sidecar, _) = &card.provenance else { return None };
+    let curve = &sidecar.convergence;
+    (curve.len() > 1).then(|| Plot {
+        title: format!("{}: mean transport cost of a draw", card.title),
+        x: Axis { label: "step".into(), log: true, shows: vec![1.0] },
+        y: Axis { label: "mean W₂² of a draw".into(), log: true, shows: Vec::new() },
+        series: vec![Series {
+            name: "single steps".into(),
+            points: curve.iter().map(|&(step, objective)| [step.into(), objective]).collect(),
+            band: Vec::new(),
+        }],
+    })
 }
 
 fn histograms(number: usize, card: &Card) -> Markup {
