@@ -660,18 +660,15 @@ test('scenes are compared, with the reference at hand', async (t) => {
   assert.equal(await page.locator('#scenes figure:visible').count(), 0, 'the plain pictures give way');
 
   const scene = scenes[0];
-  const names = [...new Set(scene.pictures.map(({ name }) => name))];
-  for (const side of ['Left', 'Right']) {
-    for (const name of names) {
-      await root.getByLabel(side).selectOption(name);
-      const picture = scene.pictures.find((one) => one.name === name && one.view === scene.views[0]);
-      assert.equal((await shown())[side === 'Left' ? 0 : 1], picture.file);
+  // Each view has methods of its own.
+  for (const view of scene.views) {
+    await root.getByLabel('View').selectOption(view);
+    for (const side of ['Left', 'Right']) {
+      for (const picture of scene.pictures.filter((one) => one.view === view)) {
+        await root.getByLabel(side).selectOption(picture.name);
+        assert.equal((await shown())[side === 'Left' ? 0 : 1], picture.file);
+      }
     }
-  }
-  if (scene.views.length > 1) {
-    await root.getByLabel('View').selectOption(scene.views[1]);
-    const picture = scene.pictures.find((one) => one.name === names.at(-1) && one.view === scene.views[1]);
-    assert.equal((await shown())[0], picture.file);
   }
   const sizes = await root.locator('.pv-stage .pv-render').evaluateAll((images) => Promise.all(images.slice(0, 2).map((image) => image.decode().then(() => image.naturalWidth))));
   assert.deepEqual(sizes, [scene.width, scene.width]);

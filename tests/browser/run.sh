@@ -1,0 +1,24 @@
+#!/usr/bin/env bash
+# Makes a small report and tries it in a browser. Needs node, npm, and Chromium at CHROMIUM or
+# /usr/bin/chromium.
+#
+#     tests/browser/run.sh PROGRAM
+set -euo pipefail
+[[ $# -eq 1 ]] || { sed -n '2,5s/^# \{0,1\}//p' "$0" >&2; exit 2; }
+program=$(realpath "$1")
+cd "$(dirname "$0")"
+work=$(mktemp -d)
+trap 'rm -rf "$work"' EXIT
+
+PLAYWRIGHT_SKIP_BROWSER_DOWNLOAD=1 npm ci --no-audit --no-fund
+# The viewer on a page of its own, then all that applies on a report.
+npm test
+
+kernel='gaussian(2.1) * fovvideovdp(60) @ 7x7x8'
+"$program" optimize --steps 300 --polish 0 --integrands 16 --out "$work/ours.npy"
+"$program" optimize --preset salaun --steps 300 --polish 0 --integrands 0 --out "$work/spatial.npy"
+tiles=("$work/ours.npy" "$work/spatial.npy")
+"$program" report "$work/report" "${tiles[@]}" --kernel "$kernel" --integrands 16
+"$program" evaluate "${tiles[@]}" --kernel "$kernel" --integrands 16 --baselines white --json \
+    >"$work/scores.json"
+REPORT=$work/report SCORES=$work/scores.json npm test
