@@ -183,8 +183,7 @@ def still(setup, name):
     # The paper's Figure 4: the first frame and the twentieth, and where their error is.
     folder = setup.folder / "pictures"
     folder.mkdir(exist_ok=True)
-    x, y = SCENES[name].crops[0]
-    side = setup.size // 4
+    x, y, side = SCENES[name].crops_at(setup.size)[0]
     for key in ("spatial", "perception-taa"):
         for t in (0, 19):
             picture = lag(pictures[key][0], setup.taa.time, t)

@@ -19,7 +19,8 @@ PATH = {"type": "path", "max_depth": 4}
 
 @dataclass(frozen=True)
 class Scene:
-    """A scene: its frames, its camera and the crops by which it is judged."""
+    """A scene: its frames, its camera and the crops by which it is judged, their corners as if the
+    film had 256 pixels."""
 
     name: str
     title: str
@@ -29,6 +30,10 @@ class Scene:
     crops: tuple = ((60, 120), (150, 60))
     integrator: dict = field(default_factory=lambda: DIRECT)
     dims: int = 2
+
+    def crops_at(self, size):
+        """The crops (x, y, side) in pixels of a film of that size."""
+        return [(x * size // 256, y * size // 256, size // 4) for x, y in self.crops]
 
 
 def transform():

@@ -320,8 +320,7 @@ def scene_data(setup, results, prefix, text, ours, others):
             "views": ["no TAA", "TAA"],
             "pictures": pictures,
             "crops": [
-                {"x": x * setup.size // 256, "y": y * setup.size // 256, "size": setup.size // 4}
-                for x, y in SCENES[scene].crops
+                {"x": x, "y": y, "size": side} for x, y, side in SCENES[scene].crops_at(setup.size)
             ],
         }
 

@@ -9,8 +9,11 @@ use super::super::card::Card;
 use super::figure;
 use crate::metric::{Class, ClassScore, Domain, Entry, Part, Ratio, Scores};
 
+/// One figure of a whole tile.
+type WholeFigure = fn(&Scores) -> f64;
+
 /// The figures of a whole tile: heading, pointer within its scores, value.
-const WHOLE: [(&str, &str, fn(&Scores) -> f64); 5] = [
+const WHOLE: [(&str, &str, WholeFigure); 5] = [
     ("bias·√N", "bias", |scores| scores.bias),
     ("emptiest cell", "histogram/smallest", |scores| scores.histogram.smallest),
     ("fullest cell", "histogram/largest", |scores| scores.histogram.largest),
