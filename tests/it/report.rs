@@ -252,6 +252,8 @@ fn provenance_is_that_of_the_sidecar() {
     assert!(article(0).contains("the file still matches") && article(0).contains("<dd>77</dd>"));
     let command = between(article(0), "id=\"tile-0-command\">", "</pre>");
     assert!(command.starts_with("perceptile optimize") && command.contains("--seed 77"));
+    let descent = |number| article(number).contains("mean transport cost of a draw");
+    assert!(descent(0) && !descent(1));
     assert!(article(1).contains("There is no sidecar"));
     assert!(article(2).contains("cannot be used: the provenance has format 9"));
     assert!(article(3).contains("Made for this comparison"));

@@ -1,0 +1,33 @@
+// The pictures of a report that README shows:
+//
+//     node tests/browser/screenshots.mjs REPORT FOLDER
+//
+// writes report-viewer.png and report-scenes.png into FOLDER.
+
+import path from 'node:path';
+import { pathToFileURL } from 'node:url';
+import { chromium } from 'playwright-core';
+
+const [report, folder] = process.argv.slice(2);
+const browser = await chromium.launch({
+  executablePath: process.env.CHROMIUM ?? '/usr/bin/chromium',
+  args: ['--no-sandbox', '--disable-gpu'],
+});
+const page = await browser.newPage({ viewport: { width: 1000, height: 860 } });
+await page.goto(pathToFileURL(path.resolve(report, 'index.html')).href);
+
+const viewer = page.locator('#viewer');
+await viewer.scrollIntoViewIfNeeded();
+await viewer.getByRole('radio', { name: 'Soft shadow' }).check();
+await viewer.evaluate((element) => element.scrollIntoView());
+await page.waitForTimeout(6000);
+await page.screenshot({ path: path.join(folder, 'report-viewer.png') });
+
+const scenes = page.locator('#scenes');
+if (await scenes.count()) {
+  await scenes.getByLabel('Scene').selectOption({ label: 'Teapot' });
+  await scenes.evaluate((element) => element.scrollIntoView());
+  await page.waitForTimeout(1500);
+  await page.screenshot({ path: path.join(folder, 'report-scenes.png') });
+}
+await browser.close();
