@@ -34,6 +34,13 @@ if [[ -z ${DRJIT_LIBLLVM_PATH:-} ]] && ! ldconfig -p | grep -qE 'libLLVM[-.](so\
 fi
 
 "$out/venv/bin/python" "$here/compare.py" "$out" --program "$perceptile" "$@"
+foreign=()
+for ((i = 1; i < $#; i++)); do
+    if [[ ${!i} = --foreign ]]; then
+        next=$((i + 1))
+        foreign+=("${!next#*=}")
+    fi
+done
 "$perceptile" report "$out/report" "$out"/tiles/{small,small-taa,perception,spatial}.npy \
-    --renders "$out" --force
+    "${foreign[@]}" --renders "$out" --force
 printf 'The tables are in %s, the report in %s\n' "$out/tables.md" "$out/report/index.html"

@@ -90,9 +90,8 @@ pub struct Sidecar {
     pub sha256: String,
     /// The tile's scores; `null` if they were not measured.
     pub scores: Value,
-    /// The mean W₂² of the draws of single steps (see [`Summary::convergence`]); empty in format 1.
-    ///
-    /// [`Summary::convergence`]: crate::solver::Summary::convergence
+    /// Single steps of the descent, counted from one, and the mean W₂² of their draws; empty in
+    /// format 1.
     #[serde(default)]
     pub convergence: Vec<(u32, f64)>,
 }
