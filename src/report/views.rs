@@ -5,9 +5,7 @@ use serde::Serialize;
 
 use super::planes::Planes;
 use super::samples::Crop;
-use crate::kernel::{
-    Class, ClassKind, Factor, KernelClass, KernelError, KernelSpec, SpecProblem, Truncation,
-};
+use crate::kernel::{Class, ClassKind, Factor, KernelClass, KernelError, KernelSpec, Truncation};
 use crate::tile::TileShape;
 
 /// Part of its weight that a kernel with TAA must keep in the frames of the shortest tile, to be
@@ -56,32 +54,27 @@ impl Views {
             shown: vec![View { name: "Raw", kernel: None, text: None }],
             left_out: Vec::new(),
         };
-        let average = Factor::Ema { alpha };
-        let alone = single(ClassKind::Product { factors: vec![average.clone()], truncation: None });
-        let alone = alone.map_err(|problem| problem.to_string()).and_then(|spec| {
-            let long = spec.resolve_without_tile().map_err(|error| error.to_string())?;
-            Ok(long.classes()[0].taps.size()[2] as usize)
-        });
         views.add("As perceived", room.planes(perceived));
+        let average = Average::new(alpha);
         views.add(
             "With TAA",
-            alone.clone().and_then(|frames| {
-                let nothing = ClassKind::Product { factors: vec![Factor::None], truncation: None };
-                let nothing = single(nothing).map_err(|problem| problem.to_string())?;
-                room.averaged(&nothing, &average, [1, 1, frames], 1.0)
+            average.clone().and_then(|average| {
+                let truncated = average.alone(average.frames.min(room.frames))?;
+                room.averaged(&truncated, 1.0)
             }),
         );
         views.add(
             "TAA, as perceived",
-            alone.and_then(|frames| {
+            average.and_then(|average| {
                 let (low, high) = perceived.taps.bounds();
                 let side = |low: i32, high: i32| {
                     2 * low.unsigned_abs().max(high.unsigned_abs()) as usize + 1
                 };
-                let long = perceived.taps.size()[2] as usize + frames - 1;
-                let size = [side(low.x, high.x), side(low.y, high.y), long];
-                let kept = 1.0 - perceived.dropped.time.unwrap_or(0.0);
-                room.averaged(kernel, &average, size, kept)
+                let frames = perceived.taps.size()[2] as usize + average.frames - 1;
+                let size = [side(low.x, high.x), side(low.y, high.y), frames.min(room.frames)];
+                let behind = kernel.followed_by(average.factor, truncation(size));
+                let behind = behind.map_err(|problem| problem.to_string())?;
+                room.averaged(&behind, 1.0 - perceived.dropped.time.unwrap_or(0.0))
             }),
         );
         Ok(views)
@@ -97,9 +90,37 @@ impl Views {
     }
 }
 
-/// A kernel of one class.
-fn single(kind: ClassKind) -> Result<KernelSpec, SpecProblem> {
-    KernelSpec::new(vec![Class { weight: 1.0, kind }])
+/// The average of frames that temporal anti-aliasing shows.
+#[derive(Debug, Clone)]
+struct Average {
+    factor: Factor,
+    /// Frames that hold nearly all of its weight.
+    frames: usize,
+}
+
+impl Average {
+    fn new(alpha: f64) -> Result<Self, String> {
+        let unbounded = Self { factor: Factor::Ema { alpha }, frames: 0 };
+        let spec = unbounded.spec(None)?;
+        let long = spec.resolve_without_tile().map_err(|error| error.to_string())?;
+        Ok(Self { frames: long.classes()[0].taps.size()[2] as usize, ..unbounded })
+    }
+
+    /// The average over so many frames.
+    fn alone(&self, frames: usize) -> Result<KernelSpec, String> {
+        self.spec(Some(truncation([1, 1, frames])))
+    }
+
+    fn spec(&self, truncation: Option<Truncation>) -> Result<KernelSpec, String> {
+        let kind = ClassKind::Product { factors: vec![self.factor.clone()], truncation };
+        KernelSpec::new(vec![Class { weight: 1.0, kind }]).map_err(|problem| problem.to_string())
+    }
+}
+
+/// A box of pixels across, down and frames.
+fn truncation(size: [usize; 3]) -> Truncation {
+    let [width, height, frames] = size.map(|n| u32::try_from(n).unwrap_or(u32::MAX));
+    Truncation::Box { width, height, frames }
 }
 
 /// The smallest size of all parts: what a kernel may extend over.
@@ -122,29 +143,17 @@ impl Room {
         Ok((planes, class.text.clone()))
     }
 
-    /// The first class of a kernel behind an average over time, in a box of at most that size. At
-    /// least `LEAST_KEPT` of the part `kept` of its weight must be inside.
-    fn averaged(
-        &self,
-        kernel: &KernelSpec,
-        average: &Factor,
-        [width, height, frames]: [usize; 3],
-        kept: f64,
-    ) -> Result<(Planes, String), String> {
-        let frames = frames.min(self.frames);
-        let size = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
-        let truncation =
-            Truncation::Box { width: size(width), height: size(height), frames: size(frames) };
-        let spec = kernel
-            .followed_by(average.clone(), truncation)
-            .map_err(|problem| problem.to_string())?;
-        let resolved = spec.resolve_without_tile().map_err(|error| error.to_string())?;
+    /// A kernel cut to the frames of all parts. At least `LEAST_KEPT` of the part `kept` of its
+    /// weight must be in them.
+    fn averaged(&self, kernel: &KernelSpec, kept: f64) -> Result<(Planes, String), String> {
+        let resolved = kernel.resolve_without_tile().map_err(|error| error.to_string())?;
         let class = &resolved.classes()[0];
         let inside = 1.0 - class.dropped.time.unwrap_or(0.0);
         if inside < LEAST_KEPT * kept {
             return Err(format!(
-                "its kernel has only {:.0} % of its weight in {frames} frames, as many as the shortest tile has",
-                100.0 * inside
+                "its kernel has only {:.0} % of its weight in {} frames, as many as the shortest tile has",
+                100.0 * inside,
+                self.frames
             ));
         }
         self.planes(class)
@@ -175,6 +184,7 @@ mod tests {
         assert!(all.left_out.is_empty());
         let text = |i: usize| all.shown[i].text.as_deref();
         assert_eq!(text(1), Some(KERNEL));
+        assert_eq!(text(2), Some("ema(0.2) @ 1x1x16"));
         assert_eq!(text(3), Some("gaussian(2.1) * fovvideovdp(60) * ema(0.2) @ 7x7x16"));
         // The average alone: weights fall by 1 − α from frame to frame.
         let average = all.shown[2].kernel.as_ref().unwrap();
