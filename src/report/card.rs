@@ -22,8 +22,8 @@ const FREQUENCIES: usize = 96;
 const LEVELS: [f64; 2] = [0.5, 0.1];
 /// Intervals of the histograms of single coordinates.
 const BINS: usize = 32;
-/// Powers below are drawn as this one: they are rounding.
-const LEAST_POWER: f64 = 1e-6;
+/// Powers below are drawn as this one: no one sees a ten-thousandth.
+const LEAST_POWER: f64 = 1e-4;
 
 /// One tile of the page.
 pub(super) struct Card {

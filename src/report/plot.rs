@@ -8,7 +8,7 @@ use maud::{Markup, html};
 /// Size of a plot and of the room for labels, in units of the drawing.
 const WIDTH: f64 = 560.0;
 const HEIGHT: f64 = 320.0;
-const LEFT: f64 = 62.0;
+const LEFT: f64 = 76.0;
 const RIGHT: f64 = 16.0;
 const TOP: f64 = 12.0;
 const BOTTOM: f64 = 46.0;
@@ -288,7 +288,7 @@ mod tests {
         let text =
             plot(true, vec![Series { name: "one".into(), points: points.clone(), band: vec![] }]);
         // Equal steps of the logarithm are equal steps of the drawing.
-        assert!(text.contains("d=\"M62.0 274.0L303.0 143.0L544.0 12.0\""), "{text}");
+        assert!(text.contains("d=\"M76.0 274.0L310.0 143.0L544.0 12.0\""), "{text}");
         assert!(text.contains("&lt;x&gt;") && text.contains("A &amp; B") && !text.contains("<x>"));
         assert!(!text.contains("class=\"band"));
         let text = plot(true, vec![Series { name: "one".into(), points, band }]);

@@ -46,7 +46,7 @@ pub(super) fn article(number: usize, card: &Card) -> Markup {
             div.pictures {
                 @for (window, caption) in card.spectra.iter().zip([
                     "XY, mean over all frames; the window is that of temporal frequency 0",
-                    "XT, mean over all rows, temporal frequency down; the window is that of f_y = 0",
+                    "XT, mean over all rows, temporal frequency down; the window is that of vertical frequency 0",
                 ]) {
                     figure { (spectrum(window, caption, &card.title)) figcaption { (caption) } }
                 }
