@@ -5,6 +5,7 @@ Everything goes to the folder OUT: tiles, references, results, pictures, `tables
 """
 
 import argparse
+import json
 from pathlib import Path
 
 import experiments
@@ -57,6 +58,18 @@ def main():
         parser.error(f"there is no scene {', '.join(sorted(unknown))}, but {', '.join(SCENES)}")
 
     (args.out / "tiles").mkdir(parents=True, exist_ok=True)
+    settings = {
+        "size": args.size,
+        "runs": args.runs,
+        "spp": args.spp,
+        "steps": args.steps,
+        "foreign": {name: str(file.resolve()) for name, file in args.foreign},
+    }
+    kept = args.out / "settings.json"
+    if not kept.exists():
+        kept.write_text(json.dumps(settings))
+    elif (before := json.loads(kept.read_text())) != settings:
+        parser.error(f"{args.out} has results of other settings, {before}: take another folder")
     setup = experiments.Setup(
         program=args.program,
         folder=args.out,

@@ -93,7 +93,7 @@ def animation(setup, name):
         "small",
         "small-taa",
     )
-    return errors(setup, name, setup.samplers(ours), f"{name}")
+    return errors(setup, name, setup.samplers(ours), name)
 
 
 @kept

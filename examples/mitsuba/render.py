@@ -46,18 +46,22 @@ tile_sampler.register()
 mi.register_sampler("reference", ReferenceSampler)
 
 
-def sensor(scene, frame, size, sampler):
-    """The camera of a scene with a square film."""
-    film = {
+def film(width, height):
+    """A film whose pixels hold their own samples, as float32 RGB."""
+    return {
         "type": "hdrfilm",
-        "width": size,
-        "height": size,
+        "width": width,
+        "height": height,
         "rfilter": {"type": "box"},
         "pixel_format": "rgb",
         "component_format": "float32",
     }
+
+
+def sensor(scene, frame, size, sampler):
+    """The camera of a scene with a square film."""
     sampler = {"width": size, "height": size, **sampler}
-    return mi.load_dict({**scene.camera(frame), "film": film, "sampler": sampler})
+    return mi.load_dict({**scene.camera(frame), "film": film(size, size), "sampler": sampler})
 
 
 def animation(name, assets, samplers, runs, frames, size):

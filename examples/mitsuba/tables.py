@@ -14,8 +14,6 @@ from measure import interval
 from scenes import SCENES
 from tiles import TILES
 
-# The paper's ratios for its own method, mean over its six scenes (Table 2).
-PAPER = {"plain": 0.66, "taa": 0.66}
 # Ours for a view, which the paper tailors to the filter.
 OURS = {"plain": "perception", "taa": "perception-taa", "taa_equal": "perception-taa"}
 OURS_SPP4 = {"plain": "spp4", "taa": "spp4-taa", "taa_equal": "spp4-taa"}
@@ -70,10 +68,10 @@ def ratios(result, key, measure, base=WHITE):
     return np.array(result[key][measure]) / np.mean(result[base][measure])
 
 
-def ratio_table(title, caption, results, keys, measures, base=WHITE, name_of=label):
+def ratio_table(title, caption, results, keys, measures, base=WHITE):
     """Rows are scenes and their mean; columns are methods for each measure; the lowest is strong."""
     columns = ["Scene"] + [
-        name_of(key) + (f", {text}" if text else "")
+        label(key) + (f", {text}" if text else "")
         for measure, text in measures.items()
         for key in keys[measure]
     ]

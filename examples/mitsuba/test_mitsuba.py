@@ -20,6 +20,7 @@ mi.set_variant("llvm_ad_rgb")
 import tile_sampler
 from assets import read_off, tessellate
 from measure import Kernel, blur, interval, lag, relative
+from render import film
 from tiles import PERCEPTION, TAA
 
 PROGRAM = os.environ.get("PERCEPTILE", "perceptile")
@@ -36,19 +37,11 @@ class Show(mi.SamplingIntegrator):
 def shown(sampler, seed, width=24, height=20, spp=1):
     """What a sampler gives in a frame, (height, width, 3)."""
     mi.register_integrator("show", Show)
-    film = {
-        "type": "hdrfilm",
-        "width": width,
-        "height": height,
-        "rfilter": {"type": "box"},
-        "pixel_format": "rgb",
-        "component_format": "float32",
-    }
     sampler = {"type": "tile", "width": width, "height": height, **sampler}
     scene = mi.load_dict(
         {
             "type": "scene",
-            "sensor": {"type": "perspective", "film": film, "sampler": sampler},
+            "sensor": {"type": "perspective", "film": film(width, height), "sampler": sampler},
             "light": {"type": "constant"},
         }
     )
@@ -60,7 +53,6 @@ class Sampler(unittest.TestCase):
 
     @classmethod
     def setUpClass(cls):
-        tile_sampler.register()
         cls.folder = tempfile.TemporaryDirectory()
         cls.addClassCleanup(cls.folder.cleanup)
         random = np.random.default_rng(1)
@@ -98,6 +90,10 @@ class Sampler(unittest.TestCase):
             for dx, dy in itertools.product(range(16), range(8))
         ]
         self.assertLess(min(distances), 1e-6)
+
+    def test_the_position_in_the_pixel_may_take_the_first_two_dimensions(self):
+        image = shown({"filename": self.file, "film": "tile"}, 1, spp=2)
+        np.testing.assert_allclose(image[:, :, 0], self.expected(1)[:, :, 2], atol=1e-6)
 
     def test_bytes_are_the_middles_of_their_levels(self):
         path = str(Path(self.folder.name) / "bytes.npy")

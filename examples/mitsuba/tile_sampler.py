@@ -134,8 +134,7 @@ class TileSampler(mi.Sampler):
         return mi.sample_tea_float32(self.lane, self.key + dimension)
 
     def next_1d(self, active=True):
-        """The next number. The tile's dimensions go in pairs to the decisions of a renderer, so
-        that the pair of a two-dimensional one never straddles two decisions of the optimizer."""
+        """The next number."""
         value = self.value(self.dimension, active)
         self.dimension = self.dimension + 1
         return value
