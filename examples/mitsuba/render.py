@@ -58,6 +58,15 @@ def film(width, height):
     }
 
 
+def load(scene):
+    """A scene whose lights are in the order of its dictionary.
+
+    Mitsuba's merging of meshes shuffles them anew in each frame, and with them what a sample that
+    chooses a light means: no sampler could make use of the frames before.
+    """
+    return mi.load_dict(scene, optimize=False)
+
+
 def sensor(scene, frame, size, sampler):
     """The camera of a scene with a square film."""
     sampler = {"width": size, "height": size, **sampler}
@@ -73,7 +82,7 @@ def animation(name, assets, samplers, runs, frames, size):
     integrator = mi.load_dict(scene.integrator)
     pictures = {key: np.empty((runs, len(frames), size, size, 3), np.float32) for key in samplers}
     for at, (moment, frame) in enumerate(frames):
-        world = mi.load_dict(scene.frame(assets, moment))
+        world = load(scene.frame(assets, moment))
         for key, sampler in samplers.items():
             eye = sensor(scene, moment, size, sampler)
             spp = eye.sampler().sample_count()
@@ -93,7 +102,7 @@ def reference(name, assets, frames, size, spp, cache):
     integrator = mi.load_dict(scene.integrator)
     pictures = np.zeros((len(frames), size, size, 3), np.float32)
     for at, frame in enumerate(frames):
-        world = mi.load_dict(scene.frame(assets, frame))
+        world = load(scene.frame(assets, frame))
         eye = sensor(scene, frame, size, {"type": "reference", "sample_count": PASS})
         total = np.zeros((size, size, 3))
         for part in range(spp // PASS):
