@@ -13,7 +13,6 @@ import render
 import tables
 import tiles
 from assets import Assets
-from measure import Kernel
 from scenes import SCENES
 
 
@@ -74,8 +73,8 @@ def main():
         program=args.program,
         folder=args.out,
         assets=Assets(args.out / "assets"),
-        perception=Kernel.of(args.program, tiles.PERCEPTION),
-        taa=Kernel.of(args.program, tiles.TAA),
+        kernels=experiments.Kernels.of(args.program, tiles.SIGMA),
+        narrow=experiments.Kernels.of(args.program, tiles.NARROW),
         foreign=dict(args.foreign),
         size=args.size,
         runs=args.runs,
@@ -87,6 +86,7 @@ def main():
     more = [scene.name for scene in chosen if scene.dims > 2]
     plan = {
         "animation": two,
+        "narrow": two,
         "still": two,
         "four_samples": two,
         "tiling": [name for name in ("cornell",) if name in two],

@@ -27,14 +27,29 @@ WHITE = "white"
 
 
 @dataclass(frozen=True)
+class Kernels:
+    """What filters the errors: an eye, and an eye behind temporal anti-aliasing."""
+
+    perception: Kernel
+    taa: Kernel
+
+    @classmethod
+    def of(cls, program, sigma):
+        """The kernels of a standard deviation in space."""
+        return cls(
+            Kernel.of(program, tiles.perception(sigma)), Kernel.of(program, tiles.taa(sigma))
+        )
+
+
+@dataclass(frozen=True)
 class Setup:
     """What all experiments share."""
 
     program: str
     folder: Path
     assets: Assets
-    perception: Kernel
-    taa: Kernel
+    kernels: Kernels
+    narrow: Kernels
     foreign: dict
     size: int
     runs: int
@@ -97,6 +112,14 @@ def animation(setup, name):
 
 
 @kept
+def narrow(setup, name):
+    """The same with the narrower kernel in space, and tiles that are made for it."""
+    ours = ("spatial-narrow", "perception-narrow", "perception-taa-narrow")
+    reference, pictures = moving(setup, name, setup.samplers(ours))
+    return measured(setup.narrow, reference, pictures)
+
+
+@kept
 def four_samples(setup, name):
     """The same at four samples per pixel. Tiles of one sample are read at four places."""
     ours = ("spatial-spp4", "spp4", "spp4-taa")
@@ -114,25 +137,29 @@ def path_traced(setup, name):
     return errors(setup, name, {**two, **again, "dims8": eight}, name)
 
 
-def errors(setup, name, samplers, prefix):
-    """The errors of an animation, and pictures of its frame as perceived: filtered in time."""
+def moving(setup, name, samplers):
+    """The reference of an animation and its pictures behind each of the samplers."""
     frames = list(range(FRAMES))
-    reference = setup.reference(name, frames)
     pictures = render.animation(
         name, setup.assets, samplers, setup.runs, [(t, t) for t in frames], setup.size
     )
-    seen = blur(reference, setup.perception)
-    plain = {t: lag(seen, setup.perception.time, t) for t in range(FRAME, FRAMES)}
-    lagged = {t: lag(seen, setup.taa.time, t) for t in range(FRAME, FRAMES)}
+    return setup.reference(name, frames), pictures
+
+
+def measured(kernels, reference, pictures):
+    """The errors of an animation behind every sampler, for each run."""
+    seen = blur(reference, kernels.perception)
+    plain = {t: lag(seen, kernels.perception.time, t) for t in range(FRAME, FRAMES)}
+    lagged = {t: lag(seen, kernels.taa.time, t) for t in range(FRAME, FRAMES)}
     result = {}
     for key, runs in pictures.items():
         rows = []
         for run in runs:
-            blurred = blur(run, setup.perception)
+            blurred = blur(run, kernels.perception)
             row = {"plain": [], "taa": [], "taa_equal": []}
             for t in range(FRAME, FRAMES):
-                with_taa = lag(blurred, setup.taa.time, t)
-                without = lag(blurred, setup.perception.time, t)
+                with_taa = lag(blurred, kernels.taa.time, t)
+                without = lag(blurred, kernels.perception.time, t)
                 row["plain"].append(relative(without - plain[t], plain[t]))
                 row["taa"].append(relative(with_taa - plain[t], plain[t]))
                 row["taa_equal"].append(relative(with_taa - lagged[t], lagged[t]))
@@ -142,9 +169,16 @@ def errors(setup, name, samplers, prefix):
             for view in ("plain", "taa", "taa_equal")
             for suffix, pick in (("", lambda values: values[0]), ("_all", np.mean))
         }
+    return result
+
+
+def errors(setup, name, samplers, prefix):
+    """The errors of an animation, and pictures of its frame as perceived: filtered in time."""
+    reference, pictures = moving(setup, name, samplers)
+    result = measured(setup.kernels, reference, pictures)
     folder = setup.folder / "pictures"
     folder.mkdir(exist_ok=True)
-    for view, kernel in (("plain", setup.perception), ("taa", setup.taa)):
+    for view, kernel in (("plain", setup.kernels.perception), ("taa", setup.kernels.taa)):
         exact = lag(reference, kernel.time, FRAME)
         save(folder / f"{prefix}-{view}-reference.png", exact)
         for key, runs in pictures.items():
@@ -165,14 +199,17 @@ def still(setup, name):
     reference = setup.reference(name, [0])
     frames = [(0, t) for t in range(FRAMES)]
     pictures = render.animation(name, setup.assets, samplers, setup.runs, frames, setup.size)
-    exact = blur(reference, setup.perception)[0]
+    exact = blur(reference, setup.kernels.perception)[0]
     result = {}
     for key, runs in pictures.items():
         curves, means, seen = [], [], []
         for run in runs:
-            blurred = blur(run, setup.perception)
+            blurred = blur(run, setup.kernels.perception)
             curves.append(
-                [relative(lag(blurred, setup.taa.time, t) - exact, exact) for t in range(FIRST)]
+                [
+                    relative(lag(blurred, setup.kernels.taa.time, t) - exact, exact)
+                    for t in range(FIRST)
+                ]
             )
             count = np.arange(1, FRAMES + 1).reshape(-1, 1, 1, 1)
             mean = np.cumsum(run, axis=0, dtype=np.float64) / count
@@ -186,7 +223,7 @@ def still(setup, name):
     x, y, side = SCENES[name].crops_at(setup.size)[0]
     for key in ("spatial", "perception-taa"):
         for t in (0, 19):
-            picture = lag(pictures[key][0], setup.taa.time, t)
+            picture = lag(pictures[key][0], setup.kernels.taa.time, t)
             crop = np.s_[y : y + side, x : x + side]
             save(folder / f"{name}-still-{key}-{t + 1}.png", picture[crop])
             error = (picture - reference[0])[crop].mean(axis=2)
@@ -198,17 +235,19 @@ def still(setup, name):
 def tiling(setup, name):
     """What a tile that is too small looks like: the perceived error of a frame, magnified."""
     samplers = setup.samplers(("tiny", "perception"))
-    reference = blur(setup.reference(name, [0]), setup.perception)[0]
+    reference = blur(setup.reference(name, [0]), setup.kernels.perception)[0]
     frames = [(0, t) for t in range(FRAME + 1)]
     pictures = render.animation(name, setup.assets, samplers, 1, frames, setup.size)
     folder = setup.folder / "pictures"
     folder.mkdir(exist_ok=True)
     result = {}
     for key in ("tiny", "perception"):
-        blurred = blur(pictures[key][0], setup.perception)
-        error = (lag(blurred, setup.perception.time, FRAME) - reference) / (reference + 0.1)
+        blurred = blur(pictures[key][0], setup.kernels.perception)
+        error = (lag(blurred, setup.kernels.perception.time, FRAME) - reference) / (reference + 0.1)
         save(folder / f"{name}-tiling-{key}.png", np.clip(0.5 + 8 * error, 0, 1), srgb=False)
-        result[key] = relative(lag(blurred, setup.perception.time, FRAME) - reference, reference)
+        result[key] = relative(
+            lag(blurred, setup.kernels.perception.time, FRAME) - reference, reference
+        )
     return result
 
 

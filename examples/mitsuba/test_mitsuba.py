@@ -20,8 +20,9 @@ mi.set_variant("llvm_ad_rgb")
 import tile_sampler
 from assets import read_off, tessellate
 from measure import Kernel, blur, interval, lag, relative
-from render import film
-from tiles import PERCEPTION, TAA
+from render import film, load
+from scenes import lamp
+from tiles import SIGMA, perception, taa
 
 PROGRAM = os.environ.get("PERCEPTILE", "perceptile")
 
@@ -114,7 +115,7 @@ class Measures(unittest.TestCase):
     def test_filters_are_the_sum_over_the_programs_taps(self):
         random = np.random.default_rng(2)
         frames = random.random((20, 12, 14, 3)).astype(np.float32)
-        for spec in (PERCEPTION, TAA):
+        for spec in (perception(SIGMA), taa(SIGMA)):
             done = subprocess.run(
                 [PROGRAM, "kernel", spec, "--json", "--all"], capture_output=True, check=True
             )
@@ -126,13 +127,13 @@ class Measures(unittest.TestCase):
             np.testing.assert_allclose(ours[y, x], plain / sum(tap[3] for tap in taps), rtol=1e-5)
 
     def test_a_constant_picture_stays_even_while_frames_are_few(self):
-        kernel = Kernel.of(PROGRAM, PERCEPTION)
+        kernel = Kernel.of(PROGRAM, perception(SIGMA))
         frames = np.full((9, 9, 9, 1), 0.5, np.float32)
         for t in range(9):
             np.testing.assert_allclose(lag(blur(frames, kernel), kernel.time, t), 0.5, rtol=1e-5)
 
     def test_white_noise_has_the_power_of_the_kernel(self):
-        kernel = Kernel.of(PROGRAM, PERCEPTION)
+        kernel = Kernel.of(PROGRAM, perception(SIGMA))
         random = np.random.default_rng(3)
         noise = random.standard_normal((8, 256, 256, 1)).astype(np.float32)
         power = (kernel.time**2).sum() * (kernel.space**2).sum() ** 2
@@ -171,6 +172,19 @@ class Geometry(unittest.TestCase):
         self.assertAlmostEqual(area, 9, places=4)
 
 
+class Loading(unittest.TestCase):
+    """A scene is the same in every frame but for what moves."""
+
+    def test_lights_keep_their_order(self):
+        names = [f"lamp{i}" for i in range(40)]
+        for t in range(3):
+            lamps = {
+                name: lamp([i, 3, t], [i, 0, t], 0.1, (1, 1, 1)) for i, name in enumerate(names)
+            }
+            scene = load({"type": "scene", **lamps})
+            self.assertEqual([light.get_shape().id() for light in scene.emitters()], names)
+
+
 class Comparison(unittest.TestCase):
     """The whole comparison, small."""
 
@@ -194,7 +208,7 @@ class Comparison(unittest.TestCase):
                 "--steps",
                 "300",
                 "--only",
-                "animation,still",
+                "animation,narrow,still",
             ]
             subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
             for scene in ("cornell", "shadows"):

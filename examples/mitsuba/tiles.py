@@ -4,34 +4,59 @@ import re
 import subprocess
 from pathlib import Path
 
-PERCEPTION = "gaussian(2.1) * fovvideovdp(60) @ 7x7x8"
-TAA = "gaussian(2.1) * fovvideovdp(60) * ema(0.2) @ 7x7x15"
+# The standard deviation in space of the paper's kernels, and the one of Wolfe et al. 2022.
+SIGMA = 2.1
+NARROW = 1.9
+
+
+def perception(sigma):
+    """The kernel of an eye that watches an animation."""
+    return f"gaussian({sigma}) * fovvideovdp(60) @ 7x7x8"
+
+
+def taa(sigma):
+    """The kernel of an eye that watches an animation behind temporal anti-aliasing."""
+    return f"gaussian({sigma}) * fovvideovdp(60) * ema(0.2) @ 7x7x15"
+
+
+def mixture(kernel, still):
+    """A kernel with the presets' shares of draws for still pictures."""
+    return f"0.84: {kernel} + 0.06: column + 0.1: {still}"
+
+
+SPATIAL = "--preset salaun --tile 128x128x30 --steps 10000 --directions 1"
 
 # Name: what it is called, and the options of `perceptile optimize`.
 TILES = {
-    "spatial": (
-        "Salaün et al. 2022",
-        "--preset salaun --tile 128x128x30 --steps 10000 --directions 1",
-    ),
+    "spatial": ("Salaün et al. 2022", SPATIAL),
     "perception": ("Perceptile, perception", "--preset paper"),
     "perception-taa": ("Perceptile, perception × TAA", "--preset paper-taa"),
+    "spatial-narrow": ("Salaün et al. 2022", f"{SPATIAL} --kernel 'gaussian({NARROW}) @ 7x7x1'"),
+    "perception-narrow": (
+        "Perceptile, perception",
+        f"--preset paper --kernel '{mixture(perception(NARROW), 'box(15)')}'",
+    ),
+    "perception-taa-narrow": (
+        "Perceptile, perception × TAA",
+        f"--preset paper-taa --kernel '{mixture(taa(NARROW), 'box(15)')}'",
+    ),
     "gaussian": (
         "Perceptile, Gaussian",
-        "--preset paper --kernel 'gaussian(2.1) * gaussian_t(2.1) @ 7x7x8'",
+        f"--kernel 'gaussian({SIGMA}) * gaussian_t({SIGMA}) @ 7x7x8'",
     ),
-    "taa": ("Perceptile, TAA", "--preset paper --kernel 'gaussian(2.1) * ema(0.2) @ 7x7x15'"),
-    "full": ("Perceptile, perception × TAA alone", f"--preset paper --kernel '{TAA}'"),
+    "taa": ("Perceptile, TAA", f"--kernel 'gaussian({SIGMA}) * ema(0.2) @ 7x7x15'"),
+    "full": ("Perceptile, perception × TAA alone", f"--kernel '{taa(SIGMA)}'"),
     "small": ("Perceptile, 64×64×16", ""),
     "small-taa": (
         "Perceptile, 64×64×16 for TAA",
-        f"--kernel '0.84: {TAA} + 0.06: column + 0.1: box(8)'",
+        f"--kernel '{mixture(taa(SIGMA), 'box(8)')}'",
     ),
     "tiny": ("Perceptile, 32×32×10", "--tile 32x32x10"),
     "spatial-spp4": ("Salaün et al. 2022", "--preset salaun --spp 4 --steps 3000"),
     "spp4": ("Perceptile, perception", "--spp 4 --steps 3000"),
     "spp4-taa": (
         "Perceptile, perception × TAA",
-        f"--spp 4 --steps 3000 --kernel '0.84: {TAA} + 0.06: column + 0.1: box(8)'",
+        f"--spp 4 --steps 3000 --kernel '{mixture(taa(SIGMA), 'box(8)')}'",
     ),
     "dims8": ("Perceptile, eight dimensions", "--dims 8 --steps 3000"),
 }
