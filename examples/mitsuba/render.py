@@ -27,16 +27,17 @@ class ReferenceSampler(tile_sampler.TileSampler):
     """
 
     def start(self, seed, per_pixel, lane):
-        super().start(seed, per_pixel, lane)
         seed = dr.opaque(mi.UInt32, int(dr.slice(seed)) if isinstance(seed, mi.UInt32) else seed)
+        # Other numbers than those of what is measured.
+        super().start(seed + 0x80000000, per_pixel, lane)
         self.number = seed % PASSES * per_pixel + self.sample
-        self.series = mi.sample_tea_32(lane // per_pixel, seed // PASSES)[0]
+        self.series = mi.sample_tea_32(lane // per_pixel, seed // PASSES, tile_sampler.ROUNDS)[0]
         dr.make_opaque(self.number, self.series)
 
     def independent(self, dimension):
         # 1 / plastic number and its square, in units of 2^-32.
         step = dr.select(dimension == 0, mi.UInt32(3242174889), mi.UInt32(2447445414))
-        shift = mi.sample_tea_32(self.series, dimension)[0]
+        shift = mi.sample_tea_32(self.series, dimension, tile_sampler.ROUNDS)[0]
         # The upper 24 bits: a float takes no more without reaching 1.
         lattice = mi.Float((self.number * step + shift) >> 8) * 2**-24
         return dr.select(dimension < 2, lattice, super().independent(dimension))
