@@ -155,7 +155,11 @@ fn exit_code(error: &anyhow::Error) -> u8 {
         || matches!(error.downcast_ref(), Some(FolderError::Unfinished { .. }))
         || matches!(
             error.downcast_ref(),
-            Some(ReportError::Write(WriteError::Exists { .. }) | ReportError::Foreign { .. })
+            Some(
+                ReportError::Write(WriteError::Exists { .. })
+                    | ReportError::Foreign { .. }
+                    | ReportError::Added { .. }
+            )
         )
     {
         3

@@ -2,8 +2,8 @@
 //!
 //! Files go to a temporary folder beside it, which takes the name when all are there.
 
-use std::fs::{self, File};
-use std::io::{self, Read};
+use std::fs;
+use std::io;
 use std::path::{Path, PathBuf};
 
 use tempfile::TempDir;
@@ -14,6 +14,8 @@ use crate::format::write::{self, Existing, WriteError};
 
 /// By this, near its start, a page is known to be of this program.
 pub(super) const GENERATOR: &str = "Perceptile report";
+/// Bytes of a page that reach beyond the element that says so.
+const START: usize = 4096;
 /// The page's file.
 pub(super) const PAGE: &str = "index.html";
 
@@ -106,7 +108,8 @@ fn io_error(path: &Path, error: io::Error) -> ReportError {
     WriteError::Io { path: path.to_owned(), error }.into()
 }
 
-/// Whether a report may take the name `out`.
+/// Whether a report may take the name `out`: nobody has it, or a report that may be replaced and
+/// to which nobody has added a file.
 fn check(out: &Path, existing: Existing) -> Result<(), ReportError> {
     match fs::symlink_metadata(out) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
@@ -114,19 +117,42 @@ fn check(out: &Path, existing: Existing) -> Result<(), ReportError> {
         Ok(_) if existing == Existing::Keep => {
             Err(WriteError::Exists { path: out.to_owned() }.into())
         }
-        Ok(metadata) if metadata.is_dir() && is_report(out) => Ok(()),
-        Ok(_) => Err(ReportError::Foreign { path: out.to_owned() }),
+        Ok(metadata) => {
+            let foreign = || ReportError::Foreign { path: out.to_owned() };
+            let page = metadata.is_dir().then(|| page_of(out)).flatten().ok_or_else(foreign)?;
+            match added(out, Path::new(""), &page).map_err(|error| io_error(out, error))? {
+                Some(file) => Err(ReportError::Added { path: out.to_owned(), file }),
+                None => Ok(()),
+            }
+        }
     }
 }
 
-/// Whether the page of a folder is one of ours.
-fn is_report(folder: &Path) -> bool {
-    let page = folder.join(PAGE);
-    let mut start = Vec::new();
-    let read = || File::open(&page)?.take(4096).read_to_end(&mut start);
-    // Asked before opening, which would wait for ever on a pipe.
+/// The page of a folder, if it is one of ours.
+fn page_of(folder: &Path) -> Option<String> {
+    let path = folder.join(PAGE);
     let ours = format!("<meta name=\"generator\" content=\"{GENERATOR} ");
-    page.is_file() && { read }().is_ok() && String::from_utf8_lossy(&start).contains(&ours)
+    // Asked before opening, which would wait for ever on a pipe.
+    let page = path.is_file().then(|| fs::read_to_string(&path)).and_then(Result::ok);
+    page.filter(|page| page.find(&ours).is_some_and(|place| place < START))
+}
+
+/// The first thing below `place` in a report that its page does not name, as it names all its files.
+fn added(folder: &Path, place: &Path, page: &str) -> io::Result<Option<PathBuf>> {
+    for entry in fs::read_dir(folder.join(place))? {
+        let entry = entry?;
+        let place = place.join(entry.file_name());
+        if entry.file_type()?.is_dir() {
+            if let Some(file) = added(folder, &place, page)? {
+                return Ok(Some(file));
+            }
+        } else if place != Path::new(PAGE)
+            && !place.to_str().is_some_and(|name| page.contains(&format!("\"{name}\"")))
+        {
+            return Ok(Some(place));
+        }
+    }
+    Ok(None)
 }
 
 /// A temporary folder with the permissions that any new folder would get.
@@ -147,7 +173,9 @@ mod tests {
     use super::*;
 
     fn page() -> String {
-        format!("<!DOCTYPE html><meta name=\"generator\" content=\"{GENERATOR} 0\">")
+        let generator =
+            format!("<!DOCTYPE html><meta name=\"generator\" content=\"{GENERATOR} 0\">");
+        generator + "<img src=\"deep/er/file\">"
     }
 
     fn make(out: &Path, existing: Existing, mark: &str) -> Result<(), ReportError> {
@@ -179,6 +207,26 @@ mod tests {
             fs::create_dir(room.path().join("usual")).unwrap();
             assert_eq!(mode(&out), mode(&room.path().join("usual")));
         }
+    }
+
+    #[test]
+    fn a_report_with_a_file_of_somebody_else_is_not_replaced() {
+        let room = tempfile::tempdir().unwrap();
+        let out = room.path().join("report");
+        for place in ["notes", "deep/tile.npy", "deep/er/files", "deep/index.html"] {
+            make(&out, Existing::Replace, "old").unwrap();
+            fs::write(out.join(place), "theirs").unwrap();
+            let error = make(&out, Existing::Replace, "new").unwrap_err();
+            assert!(matches!(&error, ReportError::Added { file, .. } if file == Path::new(place)));
+            assert_eq!(fs::read_to_string(out.join(place)).unwrap(), "theirs");
+            fs::remove_file(out.join(place)).unwrap();
+        }
+        // Somebody adds it while the new one is made.
+        let folder = Folder::new(&out, Existing::Replace).unwrap();
+        folder.write(PAGE, page().as_bytes()).unwrap();
+        fs::write(out.join("late"), "theirs").unwrap();
+        assert!(matches!(folder.finish(), Err(ReportError::Added { .. })));
+        assert!(out.join("late").exists());
     }
 
     #[test]

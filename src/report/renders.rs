@@ -356,6 +356,11 @@ impl Scene {
             let rule = "each name has one picture in a view";
             holds(&format!("{place}.name"), &picture.name, new, rule)?;
         }
+        holds(&format!("{place}.views"), "empty", !seen.is_empty(), "a scene has a view")?;
+        for (i, view) in self.views.iter().enumerate() {
+            let shown = shots.iter().any(|(_, of)| *of == view);
+            holds(&format!("{place}.views[{i}]"), view, shown, "a view has a picture")?;
+        }
         for (i, crop) in self.crops.iter().enumerate() {
             let ends = [crop.x, crop.y].map(|start| start.checked_add(crop.size));
             let [right, bottom] = ends.map(|end| end.unwrap_or(usize::MAX));

@@ -342,9 +342,17 @@ fn renders_that_break_a_rule_leave_nothing_behind() {
     let room = Room::new();
     room.save("a.npy", shape(2), 1);
     let mut content = hostile();
+    let line = ["out", "a.npy", "--renders", "renders"];
+    content["scenes"][0]["views"] = json!([content["scenes"][0]["views"][0], "bare"]);
+    renders(&room, &content);
+    room.refuse(&line, 1, &["scenes[0].views[1]", "bare", "a view has a picture"]);
+    content["scenes"][0]["views"] = json!([]);
+    content["scenes"][0]["pictures"] = json!([]);
+    renders(&room, &content);
+    room.refuse(&line, 1, &["scenes[0].views", "a scene has a view"]);
+    content = hostile();
     content["scenes"][0]["pictures"][0]["file"] = json!("../a.npy.png");
     renders(&room, &content);
-    let line = ["out", "a.npy", "--renders", "renders"];
     room.refuse(&line, 1, &["renders.json", "scenes[0].pictures[0].file", "../a.npy.png"]);
     renders(&room, &hostile());
     fs::write(room.at("renders/f.png"), "no picture").unwrap();
@@ -360,13 +368,18 @@ fn what_exists_stays_unless_it_is_a_report() {
     room.save("a.npy", shape(2), 1);
     room.report(&["out", "a.npy"]);
     room.refuse(&["out", "a.npy"], 3, &["out exists already", "--force"]);
-    fs::write(room.at("out/old"), "").unwrap();
-    room.report(&["out", "a.npy", "--force"]);
-    assert!(!room.at("out/old").exists());
+    room.save("b.npy", shape(2), 2);
+    room.report(&["out", "b.npy", "--force"]);
+    assert_eq!(data(&room.report(&["new", "b.npy"]), "viewer-data")["tiles"][0]["name"], "b");
+    assert!(files(&room.at("out")) == files(&room.at("new")), "nothing is left of the old one");
+    // Even the tile that is shown may lie there.
+    fs::copy(room.at("a.npy"), room.at("out/tiles/mine.npy")).unwrap();
+    let line = ["out", "out/tiles/mine.npy", "--force"];
+    room.refuse(&line, 3, &["tiles/mine.npy", "no part of the report"]);
     fs::create_dir(room.at("photos")).unwrap();
     fs::write(room.at("photos/index.html"), "<title>Holidays</title>").unwrap();
     for name in ["photos", "a.npy"] {
-        room.refuse(&[name, "a.npy", "--force"], 3, &[name, "not a report"]);
+        room.refuse(&[name, "a.npy", "--force"], 3, &[name, "not a folder with a report"]);
     }
     room.refuse(&["no/where", "a.npy"], 1, &["no/where"]);
 }
