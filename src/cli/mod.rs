@@ -38,7 +38,7 @@ use perceptile::solver::OptionsError;
 /// Exit codes: 0 done; 1 a file could not be read or written; 2 a wrong argument, option or
 /// setting; 3 an output or an unfinished run exists (see --force); 4 the run does not fit into
 /// memory; 5 too many workers were lost; 130 or 143 stopped by Ctrl-C or SIGTERM, with the result
-/// so far written.
+/// so far written (a report is made whole or not at all).
 #[derive(Debug, Parser)]
 #[command(name = "perceptile", version, arg_required_else_help = true)]
 struct Arguments {
@@ -92,7 +92,7 @@ pub fn main() -> ExitCode {
         Command::Kernel(args) => kernel::run(args).map(|()| ExitCode::SUCCESS),
         Command::Export(args) => export::run(args).map(|()| ExitCode::SUCCESS),
         Command::Profile(args) => profile::run(*args).map(|()| ExitCode::SUCCESS),
-        Command::Report(args) => report::run(args).map(|()| ExitCode::SUCCESS),
+        Command::Report(args) => report::run(args),
         Command::Worker => work().map(|()| ExitCode::SUCCESS),
     });
     result.unwrap_or_else(|error| {

@@ -233,6 +233,17 @@ impl KernelSpec {
         Ok(Self { classes })
     }
 
+    /// Frames per second of the perception kernel of the first class, if it has one.
+    pub fn frame_rate(&self) -> Option<f64> {
+        match &self.classes[0].kind {
+            ClassKind::Product { factors, .. } => factors.iter().find_map(|factor| match factor {
+                Factor::FovVideoVdp { fps } => Some(*fps),
+                _ => None,
+            }),
+            ClassKind::Column | ClassKind::Frame => None,
+        }
+    }
+
     /// The classes in the order they were given.
     pub fn classes(&self) -> &[Class] {
         &self.classes

@@ -10,7 +10,7 @@ use maud::{DOCTYPE, Markup, PreEscaped, html};
 use serde::Serialize;
 
 use super::ReportOptions;
-use super::card::{Card, WHITE};
+use super::card::Card;
 use super::folder::GENERATOR;
 use super::renders::Renders;
 use super::views::{View, Views};
@@ -65,9 +65,8 @@ pub(super) fn page(
     cards: &[Card],
     renders: Option<&Renders>,
 ) -> String {
-    let names: Vec<&str> =
-        cards.iter().map(|card| card.title.as_str()).filter(|name| *name != WHITE).collect();
-    let title = names.join(", ");
+    let read = cards.iter().filter(|card| card.entry.path.is_some());
+    let title = read.map(|card| card.title.as_str()).collect::<Vec<_>>().join(", ");
     let markup = html! {
         (DOCTYPE)
         html lang="en" {
@@ -137,6 +136,8 @@ fn header(
                     code { (options.kernel.to_string()) }
                     @if options.kernel.classes().len() > 1 { " (its first class)" }
                 }
+                dt { "Frame rate" }
+                dd { (options.fps) " frames per second" }
                 dt { "Integrands" }
                 dd { (scores.integrands) " of each class, set " (scores.set) }
             }

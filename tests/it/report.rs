@@ -402,3 +402,23 @@ fn a_kernel_that_does_not_fit_is_the_same_error_as_in_evaluate() {
     assert_eq!(names, ["Raw", "As perceived"]);
     assert_eq!(page.matches("is left out").count(), 2);
 }
+
+#[cfg(unix)]
+#[test]
+fn a_signal_leaves_nothing_behind() {
+    use rustix::process::{Pid, Signal, kill_process};
+
+    let room = Room::new();
+    room.save("a.npy", TileShape::new(128, 128, 16, 1, 2).unwrap(), 1);
+    let line = ["report", "out", "a.npy", "a.npy", "--integrands", "64"];
+    let mut run = Command::new(PROGRAM);
+    let mut run = run.args(line).current_dir(room.0.path()).spawn().unwrap();
+    let count = || fs::read_dir(room.0.path()).unwrap().count();
+    // From its first folder on it listens.
+    while count() < 2 {
+        std::thread::sleep(std::time::Duration::from_millis(1));
+    }
+    kill_process(Pid::from_child(&run), Signal::TERM).unwrap();
+    assert_eq!(run.wait().unwrap().code(), Some(143));
+    assert_eq!(count(), 1);
+}
