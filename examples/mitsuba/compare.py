@@ -5,14 +5,19 @@ Everything goes to the folder OUT: tiles, references, results, pictures, `tables
 """
 
 import argparse
+import hashlib
 import json
+import subprocess
 from pathlib import Path
 
+import assets
 import experiments
+import measure
 import render
+import scenes
 import tables
+import tile_sampler
 import tiles
-from assets import Assets
 from scenes import SCENES
 
 
@@ -21,7 +26,17 @@ def foreign(text):
     name, equals, file = text.partition("=")
     if not (name and equals and Path(file).is_file()):
         raise argparse.ArgumentTypeError(f"{text!r} is not NAME=FILE with a file that exists")
+    if name in (experiments.WHITE, *tiles.TILES):
+        raise argparse.ArgumentTypeError(f"{name!r} is the name of one of our own tiles")
     return name, Path(file)
+
+
+def digest(*files):
+    """A short name of what files contain."""
+    content = hashlib.sha256()
+    for file in files:
+        content.update(file.read_bytes())
+    return content.hexdigest()[:16]
 
 
 def main():
@@ -62,7 +77,15 @@ def main():
         "runs": args.runs,
         "spp": args.spp,
         "steps": args.steps,
-        "foreign": {name: str(file.resolve()) for name, file in args.foreign},
+        "foreign": {name: digest(file) for name, file in args.foreign},
+        "program": subprocess.check_output([args.program, "--version"], text=True).strip(),
+        # What the tables look like is no setting.
+        "scripts": digest(
+            *(
+                Path(module.__file__)
+                for module in (assets, experiments, measure, render, scenes, tile_sampler, tiles)
+            )
+        ),
     }
     kept = args.out / "settings.json"
     if not kept.exists():
@@ -72,7 +95,7 @@ def main():
     setup = experiments.Setup(
         program=args.program,
         folder=args.out,
-        assets=Assets(args.out / "assets"),
+        assets=assets.Assets(args.out / "assets"),
         kernels=experiments.Kernels.of(args.program, tiles.SIGMA),
         narrow=experiments.Kernels.of(args.program, tiles.NARROW),
         foreign=dict(args.foreign),

@@ -85,7 +85,9 @@ def kept(experiment):
             print(f"{experiment.__name__}: {name}", flush=True)
             path.parent.mkdir(exist_ok=True)
             result = experiment(setup, name)
-            path.write_text(json.dumps(result, indent=1))
+            unfinished = path.with_suffix(".part")
+            unfinished.write_text(json.dumps(result, indent=1))
+            unfinished.rename(path)
         return json.loads(path.read_text())
 
     return run
@@ -130,11 +132,13 @@ def four_samples(setup, name):
 def path_traced(setup, name):
     """The same, path traced. Tiles of two dimensions are also read again for further decisions."""
     two = setup.samplers(("perception",))
+    tiles = {**two, "dims8": setup.samplers(("dims8",))["dims8"]}
     again = {
-        f"{key}, again": {**value, "beyond": "shift"} for key, value in two.items() if key != WHITE
+        f"{key}, again": {**value, "beyond": "shift"}
+        for key, value in tiles.items()
+        if key != WHITE
     }
-    eight = setup.samplers(("dims8",))["dims8"]
-    return errors(setup, name, {**two, **again, "dims8": eight}, name)
+    return errors(setup, name, {**tiles, **again}, name)
 
 
 def moving(setup, name, samplers):

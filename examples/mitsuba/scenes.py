@@ -394,7 +394,7 @@ SCENES = {
         Scene(
             "path",
             "Cornell box, path traced",
-            "four bounces, eight dimensions from the tile",
+            "three bounces, eight dimensions from the tile",
             cornell,
             still([0, 0, 3.9], [0, 0, 0], 39.3),
             ((96, 168), (40, 60)),

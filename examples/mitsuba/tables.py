@@ -63,9 +63,10 @@ class Table:
         return {"title": self.title, "caption": self.caption, "columns": self.columns, "rows": rows}
 
 
-def ratios(result, key, measure, base=WHITE):
-    """A method's errors relative to the mean of another's, run by run."""
-    return np.array(result[key][measure]) / np.mean(result[base][measure])
+def ratio(values, base):
+    """The ratio of two means over runs and half its 95 % interval, with the spread of both."""
+    (mean, half), (base_mean, base_half) = interval(values), interval(base)
+    return mean / base_mean, mean / base_mean * np.hypot(half / mean, base_half / base_mean)
 
 
 def ratio_table(title, caption, results, keys, measures, base=WHITE):
@@ -80,7 +81,7 @@ def ratio_table(title, caption, results, keys, measures, base=WHITE):
     for scene, result in results.items():
         row, at = [SCENES[scene].title], 1
         for measure in measures:
-            values = [interval(ratios(result, key, measure, base)) for key in keys[measure]]
+            values = [ratio(result[key][measure], result[base][measure]) for key in keys[measure]]
             lowest = min(range(len(values)), key=lambda i: values[i][0])
             strong.add((len(rows), at + lowest))
             for key, (mean, half) in zip(keys[measure], values):
@@ -147,7 +148,7 @@ def animation_tables(results, foreign):
     views = {view: VIEWS[view] for view in ("taa", "plain")}
     yield ratio_table(
         "Perceived error relative to white noise",
-        f"pRelMSE of {where}, as in the paper's Table 2; ± is the 95 % interval over shifts of the tiles.",
+        f"pRelMSE of {where}, as in the paper's Table 2; ± is the 95 % interval over shifts of the tiles. Salaün et al. 2022 stands for a tile of this program for their kernel.",
         results,
         paper,
         views,
@@ -209,7 +210,7 @@ def narrow_tables(results, foreign):
     keys = {view: [*others, f"{key}-narrow"] for view, key in OURS.items()}
     yield raw_table(
         f"Perceived error, σ = {NARROW}",
-        f"pRelMSE of frame {FRAME + 1} behind the kernels of Wolfe et al. 2022, as in the lower half of the paper's Table S2.",
+        f"pRelMSE of frame {FRAME + 1} with the σ of Wolfe et al. 2022 in the kernels, as in the lower half of the paper's Table S2.",
         results,
         {view: [WHITE, *row] for view, row in keys.items()},
         VIEWS,
@@ -260,10 +261,10 @@ def accumulation_table(results, foreign):
             (short, "mean_seen", 16),
             (("perception", "perception-taa"), "mean", 30),
         ):
-            white = np.mean([run[count - 1] for run in result[WHITE][measure]])
-            values.append(
-                [interval([run[count - 1] / white for run in result[key][measure]]) for key in keys]
-            )
+            at_end = {
+                key: [run[count - 1] for run in result[key][measure]] for key in (WHITE, *keys)
+            }
+            values.append([ratio(at_end[key], at_end[WHITE]) for key in keys])
         row, at = [SCENES[scene].title], 1
         for group in values:
             strong.add((len(rows), at + int(np.argmin([mean for mean, _ in group]))))
@@ -304,8 +305,8 @@ def plots(results):
                         "y": [mean for mean, _ in spread],
                         **(
                             {
-                                "low": [max(mean - half, 0.5 * mean) for mean, half in spread],
-                                "high": [mean + half for mean, half in spread],
+                                "low": [mean * np.exp(-half / mean) for mean, half in spread],
+                                "high": [mean * np.exp(half / mean) for mean, half in spread],
                             }
                             if len(values) > 1
                             else {}
@@ -341,7 +342,7 @@ def scene_data(setup, results, prefix, text, ours, others):
                 )
         yield {
             "name": SCENES[scene].title + text,
-            "caption": f"{SCENES[scene].about}; frame {FRAME + 1}, filtered in time as the eye does.",
+            "caption": f"{SCENES[scene].about}; frame {FRAME + 1}, filtered in time as the eye does; figures with TAA are against the equally filtered reference.",
             "width": setup.size,
             "height": setup.size,
             "reference": f"pictures/{scene}{prefix}-plain-reference.png",
@@ -405,7 +406,7 @@ def write(setup, results):
         made.append(
             ratio_table(
                 "Four samples per pixel",
-                f"Relative to four samples of white noise; mean over frames {FRAME + 1} to {FRAMES}, equally filtered references. Tiles of one sample are read at four places.",
+                f"Relative to four samples of white noise; mean over frames {FRAME + 1} to {FRAMES}, equally filtered references. Tiles of four samples are 64×64×16; those of one are read at four places.",
                 results["four_samples"],
                 every,
                 {"taa_equal_all": "TAA", "plain_all": "no TAA"},
@@ -421,7 +422,7 @@ def write(setup, results):
         made.append(
             ratio_table(
                 "Path tracing",
-                "Four bounces, no TAA; tiles of two dimensions serve the first decision alone, or are read again at another place for each further one.",
+                "Three bounces, no TAA. Dimensions after a tile's last are white noise, or the tile is read again at another place for each further decision; the tile of eight is 64×64×16.",
                 results["path_traced"],
                 {"plain_all": keys},
                 {"plain_all": ""},

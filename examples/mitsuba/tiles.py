@@ -24,7 +24,8 @@ def mixture(kernel, still):
     return f"0.84: {kernel} + 0.06: column + 0.1: {still}"
 
 
-SPATIAL = "--preset salaun --tile 128x128x30 --steps 10000 --directions 1"
+# As many steps as the presets for space and time.
+SPATIAL = "--preset salaun --tile 128x128x30 --steps 10000 --directions 1 --polish 80"
 
 # Name: what it is called, and the options of `perceptile optimize`.
 TILES = {
@@ -52,7 +53,7 @@ TILES = {
         f"--kernel '{mixture(taa(SIGMA), 'box(8)')}'",
     ),
     "tiny": ("Perceptile, 32×32×10", "--tile 32x32x10"),
-    "spatial-spp4": ("Salaün et al. 2022", "--preset salaun --spp 4 --steps 3000"),
+    "spatial-spp4": ("Salaün et al. 2022", "--preset salaun --spp 4 --steps 3000 --polish 150"),
     "spp4": ("Perceptile, perception", "--spp 4 --steps 3000"),
     "spp4-taa": (
         "Perceptile, perception × TAA",
@@ -69,7 +70,11 @@ def make(program, name, folder, steps=None):
         print(f"making {name}", flush=True)
         options = TILES[name][1]
         if steps is not None:
-            options = re.sub(r"--steps \d+", "", options) + f" --steps {steps} --polish 0"
-        command = f"'{program}' optimize {options} --integrands 0 --out '{path}'"
+            options = re.sub(r"--(steps|polish) \d+", "", options) + f" --steps {steps} --polish 0"
+        # Under another name until it is done: a run that is stopped leaves a tile as well.
+        part = path.with_name(f"{name}.part.npy")
+        command = f"'{program}' optimize {options} --integrands 0 --force --out '{part}'"
         subprocess.run(command, shell=True, check=True, stdout=subprocess.DEVNULL)
+        for made in path.parent.glob(f"{name}.part.*"):
+            made.rename(path.with_suffix(made.suffix))
     return str(path)
