@@ -281,6 +281,18 @@ test('playback starts, stops, steps and keeps its speed', async (t) => {
   await close();
 });
 
+test('the slider of the frame says of how many', { skip: REPORT !== null }, async () => {
+  const { page, close } = await open(browser, made.folder);
+  const slider = page.locator('#viewer').getByRole('slider', { name: 'Frame' });
+  const [long, short] = [data.tiles[0], data.tiles[1]];
+  assert.equal(await slider.getAttribute('aria-valuetext'), `1 of ${long.frames}`);
+  for (const name of ['Tile 1', 'Tile 2']) await page.getByLabel(name).selectOption('1');
+  assert.equal(await slider.getAttribute('aria-valuetext'), `1 of ${short.frames}`);
+  assert.equal(await page.locator('#viewer .pv-transport output').first().textContent(), `1 of ${short.frames}`);
+  await ready(page);
+  await close();
+});
+
 test('pictures come and go, up to four', async () => {
   const { page, close } = await open(browser, made.folder);
   const add = page.getByRole('button', { name: 'Add a picture' });

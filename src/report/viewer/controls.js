@@ -70,7 +70,10 @@
       input.value = value;
       show();
     };
-    const limit = (most) => (input.max = most);
+    const limit = (most) => {
+      input.max = most;
+      show();
+    };
     return { root, input, set, limit };
   }
 
