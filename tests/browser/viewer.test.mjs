@@ -293,6 +293,25 @@ test('the slider of the frame says of how many', { skip: REPORT !== null }, asyn
   await close();
 });
 
+test('while it plays, the slider of the frame moves', { skip: REPORT !== null }, async () => {
+  const { page, close } = await open(browser, made.folder);
+  for (const name of ['Tile 1', 'Tile 2']) await page.getByLabel(name).selectOption('1');
+  await ready(page);
+  await page.locator('#viewer').getByRole('button', { name: 'Play' }).click();
+  const seen = await page.evaluate(async () => {
+    const slider = document.querySelector('#viewer .pv-transport input');
+    const values = new Set();
+    const end = performance.now() + 2000;
+    while (performance.now() < end) {
+      await new Promise(requestAnimationFrame);
+      values.add(slider.value);
+    }
+    return values.size;
+  });
+  assert.ok(seen >= 3, `${seen} of ${data.tiles[1].frames} frames`);
+  await close();
+});
+
 test('pictures come and go, up to four', async () => {
   const { page, close } = await open(browser, made.folder);
   const add = page.getByRole('button', { name: 'Add a picture' });

@@ -17,6 +17,8 @@
   const PATIENCE = 250;
   /** After so long without a change the other views are worked out. */
   const QUIET = 600;
+  /** While it plays, the number of the frame is said this often: each time costs a layout. */
+  const SAYING = 100;
 
   const degrees = (value) => `${value}°`;
   const decimal = (value) => value.toFixed(2);
@@ -94,6 +96,7 @@
       this.since = 0;
       this.visible = false;
       this.frameRequest = 0;
+      this.said = 0;
       this.panes = [];
       this.engine = new Engine(source, () => this.advance());
       this.camera = new Camera(
@@ -676,7 +679,10 @@
       this.invalidate();
       if (frame === before) return;
       this.countRate(now);
-      if (frame % 8 === 0) this.sayFrame();
+      if (now - this.said >= SAYING) {
+        this.said = now;
+        this.sayFrame();
+      }
       this.durations.add(performance.now() - start);
       if (this.durations.full) this.root.dataset.frameMs = this.durations.median.toFixed(2);
     }
