@@ -306,6 +306,27 @@ test('a display at another rate keeps the time', () => {
   assert.ok(Math.abs(clock.frame - 600) < 6);
 });
 
+test('the rate is of frames that follow each other', () => {
+  const rate = new viewer.Rate();
+  let now = 0;
+  const play = (frames, each) => {
+    for (let n = 0; n < frames; n += 1) {
+      rate.add(now);
+      now += each;
+    }
+  };
+  play(90, 1000 / 60);
+  assert.ok(Math.abs(rate.value - 60) < 1.5, `${rate.value}`);
+  // The page rests for six seconds, and goes on.
+  now += 6000;
+  play(90, 1000 / 60);
+  assert.ok(Math.abs(rate.value - 60) < 1.5, `${rate.value}`);
+  rate.forget();
+  assert.equal(rate.value, null);
+  play(40, 1000 / 15);
+  assert.ok(Math.abs(rate.value - 15) < 1, `${rate.value}`);
+});
+
 test('the script can stand inside a page', () => {
   assert.doesNotMatch(script(), /<\/script|<!--/i);
 });

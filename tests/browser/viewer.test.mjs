@@ -312,6 +312,36 @@ test('while it plays, the slider of the frame moves', { skip: REPORT !== null },
   await close();
 });
 
+test('a pause and another speed do not make the display slow', async () => {
+  const { page, close } = await open(browser, made.folder);
+  const viewer = page.locator('#viewer');
+  // A display of exactly 60 refreshes a second, whatever this machine has.
+  await page.evaluate(() => {
+    let time = performance.now();
+    window.requestAnimationFrame = (run) => setTimeout(() => run((time = Math.max(time + 1000 / 60, window.leap ?? 0))), 4);
+  });
+  await page.evaluate(() => {
+    window.told = new Set();
+    const status = document.querySelector('#viewer .pv-status');
+    new MutationObserver(() => window.told.add(status.textContent)).observe(status, { childList: true });
+  });
+  const play = viewer.getByRole('button', { name: 'Play' });
+  const pause = viewer.getByRole('button', { name: 'Pause' });
+  await play.click();
+  await page.waitForTimeout(700);
+  await pause.click();
+  await page.evaluate(() => (window.leap = performance.now() + 60000));
+  await play.click();
+  await page.waitForTimeout(700);
+  await viewer.getByLabel('Speed').selectOption({ label: '¼' });
+  await page.waitForTimeout(700);
+  await viewer.getByLabel('Speed').selectOption({ label: 'full' });
+  await page.waitForTimeout(700);
+  const told = await page.evaluate(() => [...window.told].filter((text) => text.startsWith('This display')));
+  assert.deepEqual(told, []);
+  await close();
+});
+
 test('pictures come and go, up to four', async () => {
   const { page, close } = await open(browser, made.folder);
   const add = page.getByRole('button', { name: 'Add a picture' });

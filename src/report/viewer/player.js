@@ -6,6 +6,8 @@
   const TOLERANCE = 0.06;
   /** How much the last refresh counts in the estimate of the display's rate. */
   const MEMORY = 0.02;
+  /** After so many milliseconds without a refresh the page has been resting. */
+  const REST = 500;
 
   /**
    * Counts frames by the display's refreshes. Where the display runs at the animation's rate, or
@@ -50,7 +52,7 @@
     /** How many frames pass in a time between two refreshes. */
     passed(elapsed) {
       // After a pause of the page, a fresh start is better than a leap.
-      if (elapsed > 500) return 1;
+      if (elapsed > REST) return 1;
       const refreshes = Math.max(1, Math.round(elapsed / this.refresh));
       this.seen += 1;
       this.refresh += Math.max(1 / this.seen, MEMORY) * (elapsed / refreshes - this.refresh);
@@ -58,6 +60,40 @@
       const whole = perRefresh >= 1 ? Math.round(perRefresh) : 1 / Math.round(1 / perRefresh);
       const steady = Math.abs(perRefresh / whole - 1) < TOLERANCE;
       return refreshes * (steady ? whole : perRefresh);
+    }
+  }
+
+  /** How many frames a second are really shown, once a second. */
+  class Rate {
+    constructor() {
+      this.forget();
+    }
+
+    /** Starts anew, as what was counted says nothing about what comes. */
+    forget() {
+      this.value = null;
+      this.start = null;
+    }
+
+    /**
+     * Counts a frame.
+     *
+     * @param {number} now when it is shown, in milliseconds
+     * @returns {boolean} whether there is a new value
+     */
+    add(now) {
+      if (this.start === null || now - this.last > REST) {
+        this.start = now;
+        this.count = 0;
+      } else {
+        this.count += 1;
+      }
+      this.last = now;
+      if (now - this.start < 1000) return false;
+      this.value = (1000 * this.count) / (now - this.start);
+      this.start = now;
+      this.count = 0;
+      return true;
     }
   }
 
@@ -82,5 +118,5 @@
     }
   }
 
-  Object.assign(perceptile, { Clock, Durations });
+  Object.assign(perceptile, { Clock, Rate, Durations });
 })((globalThis.perceptileViewer ??= {}));

@@ -6,7 +6,7 @@
   'use strict';
 
   const { element, button, choice, slider, picker, ownsKey, freshId } = perceptile;
-  const { Camera, ZOOM, steer, Stage, Pane, toneOf, Clock, Durations, Engine, KEEP, integrand } = perceptile;
+  const { Camera, ZOOM, steer, Stage, Pane, toneOf, Clock, Rate, Durations, Engine, KEEP, integrand } = perceptile;
 
   const MOST_PANES = 4;
   /** Sides of the soft shadow's picture: the tile repeats up to about this many pixels. */
@@ -80,6 +80,7 @@
       this.tiles = data.tiles;
       this.views = data.views;
       this.clock = new Clock(data.fps);
+      this.rate = new Rate();
       this.durations = new Durations(60);
       this.loaded = this.tiles.map(() => 'no');
       this.still = window.matchMedia('(prefers-reduced-motion: reduce)').matches;
@@ -190,7 +191,7 @@
         (value) => this.goTo(value - 1),
       );
       const speeds = [['1', 'full'], ['0.5', '½'], ['0.25', '¼']];
-      const speed = picker('Speed', speeds, (value) => (this.clock.speed = Number(value)));
+      const speed = picker('Speed', speeds, (value) => this.setSpeed(Number(value)));
       return element(
         'div',
         { class: 'pv-transport', role: 'group', 'aria-label': 'Playback' },
@@ -276,6 +277,12 @@
       if (playing) this.clock.play();
       else this.clock.stop();
       this.sync();
+    }
+
+    setSpeed(speed) {
+      this.clock.speed = speed;
+      this.rate.forget();
+      this.sayStatus();
     }
 
     /** Stops at a frame. */
@@ -627,11 +634,12 @@
 
     sayStatus() {
       const ready = this.current !== null && this.target === this.current;
-      const slow = this.clock.playing && this.rate && this.rate < 0.9 * this.clock.fps * this.clock.speed;
+      const rate = this.rate.value;
+      const slow = this.clock.playing && rate !== null && rate < 0.9 * this.clock.fps * this.clock.speed;
       const text = !ready
         ? `Preparing ${Math.floor(100 * (this.share ?? 0))} %`
         : slow
-          ? `This display shows ${Math.round(this.rate)} of ${Math.round(this.clock.fps * this.clock.speed)} frames a second.`
+          ? `This display shows ${Math.round(rate)} of ${Math.round(this.clock.fps * this.clock.speed)} frames a second.`
           : '';
       if (this.status.textContent !== text) this.status.textContent = text;
       this.root.dataset.state = ready && !this.stale ? 'ready' : 'preparing';
@@ -675,27 +683,19 @@
       else this.clock.last = null;
       const { frame } = this.clock;
       this.draw(frame);
-      if (!this.clock.playing || !this.visible) return;
+      if (!this.clock.playing || !this.visible) {
+        this.rate.forget();
+        return;
+      }
       this.invalidate();
       if (frame === before) return;
-      this.countRate(now);
+      if (this.rate.add(now)) this.sayStatus();
       if (now - this.said >= SAYING) {
         this.said = now;
         this.sayFrame();
       }
       this.durations.add(performance.now() - start);
       if (this.durations.full) this.root.dataset.frameMs = this.durations.median.toFixed(2);
-    }
-
-    /** How many frames a second are really shown, once a second. */
-    countRate(now) {
-      this.drawn = (this.drawn ?? 0) + 1;
-      this.counted ??= now;
-      if (now - this.counted < 1000) return;
-      this.rate = (1000 * this.drawn) / (now - this.counted);
-      this.drawn = 0;
-      this.counted = now;
-      this.sayStatus();
     }
 
     /** Which slot to draw into a pane: what is finished, else what is being made. */
