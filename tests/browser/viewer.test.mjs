@@ -5,7 +5,7 @@ import assert from 'node:assert/strict';
 import { rmSync } from 'node:fs';
 import { join } from 'node:path';
 import test, { after, before } from 'node:test';
-import { writeFixture, writeLarge } from './fixture.mjs';
+import { whiteNoise, writeFixture, writeLarge, writeReport } from './fixture.mjs';
 import {
   REPORT, breaches, dataOf, greys, launch, open, pictures, ratios, ready, report, samplesOf, settle, slide, temporary,
 } from './harness.mjs';
@@ -38,8 +38,8 @@ const FUNCTIONS = {
   Linear: { at: (u, v) => u * Math.cos(Math.PI / 6) + v * 0.5, integral: (Math.cos(Math.PI / 6) + 0.5) / 2, variance: 1 / 12 },
 };
 
-function errorsOf(tile, { at, integral }) {
-  const numbers = samplesOf(made.folder, tile);
+function errorsOf(tile, { at, integral }, folder = made.folder) {
+  const numbers = samplesOf(folder, tile);
   const { spp } = tile;
   return Float64Array.from({ length: numbers.length / 2 / spp }, (_, i) => {
     let sum = 0;
@@ -310,6 +310,43 @@ test('while it plays, the slider of the frame moves', { skip: REPORT !== null },
   });
   assert.ok(seen >= 3, `${seen} of ${data.tiles[1].frames} frames`);
   await close();
+});
+
+test('stepping is even for tiles of unequal periods, in both directions', { skip: REPORT !== null }, async () => {
+  const odd = temporary();
+  const sizes = [['long', 16], ['short', 5]];
+  writeReport(odd.folder, sizes.map(([name, frames]) => ({ name, width: 24, height: 24, frames, numbers: whiteNoise({ width: 24, height: 24, frames }, frames) })));
+  const { page, close } = await open(browser, odd.folder);
+  await radio(page, 'Raw').check();
+  await ready(page);
+  const tiles = dataOf(odd.folder, 'viewer-data').tiles;
+  const right = tiles.map((tile) => errorsOf(tile, FUNCTIONS.Edge, odd.folder));
+  const check = async (frame) => {
+    await settle(page);
+    for (const [slot, tile] of tiles.entries()) {
+      const t = ((frame % tile.frames) + tile.frames) % tile.frames;
+      const values = right[slot].slice(t * 576, (t + 1) * 576);
+      compare(await greys(page, slot), { values }, tile, `frame ${frame} of ${tile.name}`);
+    }
+    assert.equal(await page.getAttribute('#viewer', 'data-frame'), String((frame + 160) % 16));
+  };
+  const step = (name) => page.locator('#viewer').getByRole('button', { name }).click();
+  await slide(page, 'Frame', 15);
+  for (const frame of [15, 16, 17]) {
+    await step('One frame on');
+    await check(frame);
+  }
+  await slide(page, 'Frame', 1);
+  await check(16);
+  await step('One frame back');
+  await check(15);
+  await slide(page, 'Frame', 1);
+  for (const frame of [-1, -2]) {
+    await step('One frame back');
+    await check(frame);
+  }
+  await close();
+  odd.remove();
 });
 
 test('a pause and another speed do not make the display slow', async () => {

@@ -30,10 +30,10 @@
       return Math.floor(this.position + 1e-6);
     }
 
-    /** Goes to a frame and stays there. */
+    /** Goes to a frame, which may lie before the first, and stays there. */
     stop(frame = this.frame) {
       this.playing = false;
-      this.position = Math.max(frame, 0);
+      this.position = frame;
       this.last = null;
     }
 

@@ -5,7 +5,7 @@
 (function (perceptile) {
   'use strict';
 
-  const { element, button, choice, slider, picker, ownsKey, freshId } = perceptile;
+  const { modulo, element, button, choice, slider, picker, ownsKey, freshId } = perceptile;
   const { Camera, ZOOM, steer, Stage, Pane, toneOf, Clock, Rate, Durations, Engine, KEEP, integrand } = perceptile;
 
   const MOST_PANES = 4;
@@ -188,7 +188,7 @@
         'Frame',
         { min: 1, max: 1, step: 1 },
         (value) => `${value} of ${this.frameSlider?.input.max ?? 1}`,
-        (value) => this.goTo(value - 1),
+        (value) => this.step(value - 1 - modulo(this.clock.frame, this.period)),
       );
       const speeds = [['1', 'full'], ['0.5', '½'], ['0.25', '¼']];
       const speed = picker('Speed', speeds, (value) => this.setSpeed(Number(value)));
@@ -285,15 +285,13 @@
       this.sayStatus();
     }
 
-    /** Stops at a frame. */
-    goTo(frame) {
-      const { period } = this;
-      this.clock.stop(((frame % period) + period) % period);
-      this.sync();
-    }
-
+    /**
+     * Stops so many frames on. The clock itself counts on, or below 0, as going round with the
+     * longest tile would be a leap for the others.
+     */
     step(frames) {
-      this.goTo((this.clock.frame % this.period) + frames);
+      this.clock.stop(this.clock.frame + frames);
+      this.sync();
     }
 
     turnByHand() {
@@ -646,7 +644,7 @@
     }
 
     sayFrame() {
-      const frame = this.clock.frame % this.period;
+      const frame = modulo(this.clock.frame, this.period);
       this.frameSlider.set(frame + 1);
       this.root.dataset.frame = String(frame);
     }
@@ -711,7 +709,7 @@
         const slot = this.slotOf(number, pane.tile);
         if (!slot) return;
         const { field, truth, kind, repeats } = slot;
-        const t = frame % field.shape.frames;
+        const t = modulo(frame, field.shape.frames);
         const errors = this.resultOf(field)?.frames[t];
         const exact = truth ? this.resultOf(truth)?.frames[t] : null;
         const tone = toneOf(kind, this.show, this.gain);
