@@ -349,6 +349,29 @@ test('stepping is even for tiles of unequal periods, in both directions', { skip
   odd.remove();
 });
 
+test('the soft shadow is at one place in all pictures, whatever their periods', { skip: REPORT !== null }, async () => {
+  // A common loop of few frames, and one that would be too long.
+  for (const frames of [[16, 10], [63, 64]]) {
+    const odd = temporary();
+    // Many samples are close to the shadow itself.
+    const shapes = frames.map((count) => ({ width: 64, height: 64, frames: count, spp: 4 }));
+    writeReport(odd.folder, shapes.map((shape, number) => ({ name: `tile ${number}`, ...shape, numbers: whiteNoise(shape, number + 1) })));
+    const { page, close } = await open(browser, odd.folder);
+    await radio(page, 'Soft shadow').check();
+    await ready(page);
+    const last = Number(await page.locator('#viewer').getByRole('slider', { name: 'Frame' }).getAttribute('max'));
+    for (const share of [0.3, 0.6, 0.95]) {
+      await slide(page, 'Frame', Math.ceil(share * last));
+      await settle(page);
+      const [first, second] = [await greys(page, 0), await greys(page, 1)];
+      const apart = first.values.reduce((sum, grey, i) => sum + Math.abs(grey - second.values[i]), 0) / first.values.length;
+      assert.ok(apart < 8, `${frames} at ${share} of ${last}: ${apart}`);
+    }
+    await close();
+    odd.remove();
+  }
+});
+
 test('a pause and another speed do not make the display slow', async () => {
   const { page, close } = await open(browser, made.folder);
   const viewer = page.locator('#viewer');

@@ -69,6 +69,13 @@
   /** The name of a view inside a sentence: "as perceived", but "TAA, as perceived". */
   const inSentence = (name) => (/^.[a-z]/.test(name) ? name[0].toLowerCase() + name.slice(1) : name);
 
+  /** The least common multiple. */
+  function commonMultiple(a, b) {
+    let [divisor, rest] = [a, b];
+    while (rest > 0) [divisor, rest] = [rest, divisor % rest];
+    return (a / divisor) * b;
+  }
+
   class TileViewer {
     /**
      * @param {HTMLElement} root
@@ -473,14 +480,31 @@
     /** The shape of a tile's animation under the present integrand. */
     shapeOf(tile) {
       const { width, height, frames } = this.tiles[tile];
-      if (this.kind !== 'shadow') return { width, height, frames };
+      return this.kind === 'shadow' ? { ...this.shadowSize(tile), frames: this.shadowFrames } : { width, height, frames };
+    }
+
+    /** Sides of the soft shadow's picture for a tile. */
+    shadowSize(tile) {
+      const { width, height } = this.tiles[tile];
       const times = Math.max(1, Math.floor(PICTURE / Math.max(width, height)));
-      const shape = { width: width * times, height: height * times, frames };
-      const longest = Math.max(...this.shown.map((pane) => this.tiles[pane.tile].frames));
-      const periods = Math.ceil((longest * this.loop) / frames);
-      const most = Math.floor(LOOP_PIXELS / (shape.width * shape.height * frames));
-      shape.frames *= Math.max(1, Math.min(periods, most));
-      return shape;
+      return { width: width * times, height: height * times };
+    }
+
+    /** Frames of the soft shadow's loop: the same for all that is shown, as it is one shadow. */
+    get shadowFrames() {
+      const periods = this.shown.map(({ tile }) => this.tiles[tile].frames);
+      const most = Math.min(
+        ...this.shown.map(({ tile }) => {
+          const { width, height } = this.shadowSize(tile);
+          return Math.floor(LOOP_PIXELS / (width * height));
+        }),
+      );
+      const longest = Math.max(...periods);
+      const common = periods.reduce(commonMultiple);
+      const even = common * Math.ceil((longest * this.loop) / common);
+      if (even <= most) return even;
+      // The others then have a seam where the loop ends.
+      return longest * Math.max(1, Math.min(this.loop, Math.floor(most / longest)));
     }
 
     /** The job of a tile's animation as a view, or of the exact soft shadow. */
