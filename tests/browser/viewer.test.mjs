@@ -168,9 +168,29 @@ test('a tile that cannot be loaded says so, and the others play', { skip: REPORT
   writeFixture(broken.folder);
   rmSync(join(broken.folder, 'tiles', '3.js'));
   const { page, context, complaints } = await open(browser, broken.folder);
-  await page.getByLabel('Tile 1').selectOption({ label: 'part (part of the tile)' });
+  const states = await page.evaluate(async () => {
+    const pane = document.querySelector('#viewer .pv-pane');
+    const state = () => [pane.querySelector('.pv-ratio').value, pane.querySelector('.pv-note').textContent, pane.querySelector('.pv-canvas').hidden];
+    const angle = [...document.querySelectorAll('#viewer input[type=range]')].find((input) => input.labels[0].textContent === 'Angle');
+    // The tile is chosen while other work is under way, which goes on for a moment.
+    angle.value = '31';
+    angle.dispatchEvent(new Event('input', { bubbles: true }));
+    const select = pane.querySelector('select');
+    select.value = '3';
+    select.dispatchEvent(new Event('change', { bubbles: true }));
+    const chosen = state();
+    await new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)));
+    return [chosen, state()];
+  });
+  for (const [figure, , hidden] of states) assert.deepEqual([figure, hidden], ['–', true]);
+  assert.equal(states[0][1], '64 × 64 × 16, part of the tile');
   await ready(page);
-  assert.match(await page.locator('#viewer .pv-pane').first().textContent(), /tiles\/3\.js could not be loaded/);
+  const pane = page.locator('#viewer .pv-pane').first();
+  assert.match(await pane.textContent(), /tiles\/3\.js could not be loaded/);
+  // Nothing of the tile before it is left.
+  assert.equal(await pane.locator('.pv-ratio').textContent(), '–');
+  assert.ok(!(await pane.locator('.pv-canvas').isVisible()));
+  assert.deepEqual((({ width, height }) => [width, height])(await greys(page, 0)), [1, 1]);
   assert.ok((await ratios(page))[1] > 0.5);
   assert.ok(complaints.every((text) => /tiles\/3\.js|ERR_FILE_NOT_FOUND/.test(text)), complaints.join());
   await context.close();

@@ -57,7 +57,7 @@
      */
     constructor(tiles, picked, removed) {
       this.tiles = tiles;
-      this.tile = 0;
+      this.tile = null;
       const names = tiles.map(({ name, whole }, number) => [String(number), whole ? name : `${name} (part of the tile)`]);
       this.picker = picker('Tile', names, (value) => picked(Number(value)));
       this.remove = button('Remove', { class: 'pv-button pv-quiet', onclick: removed });
@@ -68,7 +68,7 @@
         { class: 'pv-frame', tabIndex: 0, role: 'group' },
         element('div', { class: 'pv-layer' }, this.canvas),
       );
-      this.figure = element('output', { class: 'pv-ratio' }, '–');
+      this.figure = element('output', { class: 'pv-ratio' });
       this.words = element('span', { class: 'pv-words' });
       this.bar = element('span', { class: 'pv-bar', 'aria-hidden': 'true' }, element('span'));
       this.note = element('span', { class: 'pv-note' });
@@ -80,26 +80,45 @@
         element('figcaption', {}, element('span', {}, this.figure, ' ', this.words), this.bar, this.note),
       );
       this.image = null;
-      this.shown = '';
     }
 
     /** @param {number} number of the tile */
     setTile(number, label) {
-      this.tile = number;
+      if (number !== this.tile) {
+        this.tile = number;
+        this.clear();
+      }
       this.picker.set(String(number));
       this.picker.label.textContent = label;
       const { name } = this.tiles[number];
+      this.canvas.setAttribute('aria-label', name);
       this.frame.setAttribute('aria-label', `Picture of ${name}: arrow keys move it`);
       this.remove.setAttribute('aria-label', `Remove the picture of ${name}`);
     }
 
-    /** Says the ratio in words; without one, that it is on its way. */
+    /** Shows nothing, so that no picture or figure of another tile stands under this one's name. */
+    clear() {
+      this.setRatio(NaN);
+      this.words.textContent = '';
+      this.explain('');
+      this.canvas.hidden = true;
+      this.canvas.width = 1;
+      this.canvas.height = 1;
+      this.shown = '';
+    }
+
+    /** Says the ratio in words; without one, only of what it would be. */
     say(ratio, view) {
+      this.setRatio(ratio);
+      this.words.textContent = `of white noise’s error, ${view}`;
+      this.canvas.setAttribute('aria-label', `${this.tiles[this.tile].name}, ${view}`);
+    }
+
+    /** @param {number} ratio NaN for a dash */
+    setRatio(ratio) {
       this.figure.value = ratioText(ratio);
       this.figure.dataset.ratio = Number.isFinite(ratio) ? String(ratio) : '';
-      this.words.textContent = `of white noise’s error, ${view}`;
       this.bar.firstChild.style.transform = `scaleX(${Math.min(Number.isFinite(ratio) ? ratio : 0, 1)})`;
-      this.canvas.setAttribute('aria-label', `${this.tiles[this.tile].name}, ${view}`);
     }
 
     /** @param {string} failure why there is no picture, or nothing */
@@ -160,6 +179,7 @@
 
     resize(width, height, scale) {
       const { canvas } = this;
+      canvas.hidden = false;
       if (canvas.width !== width) canvas.width = width;
       if (canvas.height !== height) canvas.height = height;
       const unit = scale / window.devicePixelRatio;

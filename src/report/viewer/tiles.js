@@ -317,7 +317,7 @@
         },
         () => this.dropPane(pane),
       );
-      pane.tile = tile;
+      pane.setTile(tile, 'Tile');
       steer(pane.frame, this.camera, () => this.unit());
       this.sizes?.observe(pane.frame);
       this.panes.push(pane);
@@ -720,10 +720,9 @@
       if (this.durations.full) this.root.dataset.frameMs = this.durations.median.toFixed(2);
     }
 
-    /** Which slot to draw into a pane: what is finished, else what is being made. */
+    /** Which slot to draw into a pane: what is finished of its tile, else what is being made. */
     slotOf(number, tile) {
-      const finished = this.current?.slots[number];
-      return finished?.tile === tile ? finished : this.target?.slots[number];
+      return [this.current, this.target].map((made) => made?.slots[number]).find((slot) => slot?.tile === tile);
     }
 
     draw(frame) {
