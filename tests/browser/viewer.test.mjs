@@ -689,6 +689,37 @@ test('short keys work inside the viewer and nowhere else', async () => {
   await close();
 });
 
+test('keys go on working when what had the focus is hidden', async () => {
+  const { page, close } = await open(browser, made.folder);
+  const mode = () => page.getAttribute('#viewer', 'data-mode');
+  const focused = () => page.evaluate(() => document.activeElement.className);
+  await page.locator('#viewer .pv-frame:visible').first().click();
+  for (const [key, name] of [['s', 'swipe'], ['g', 'grid'], ['f', 'flicker'], ['g', 'grid'], ['s', 'swipe']]) {
+    await page.keyboard.press(key);
+    await settle(page);
+    assert.equal(await mode(), name);
+    assert.match(await focused(), name === 'grid' ? /^pv-frame$/ : /pv-stage/);
+  }
+  await page.locator('#viewer').getByRole('slider', { name: /Divider/ }).press('f');
+  await settle(page);
+  await page.keyboard.press('t');
+  assert.equal(await page.locator('#viewer .pv-stage').getAttribute('data-turn'), '1');
+  await page.locator('#viewer').getByRole('button', { name: 'Show the other' }).press('s');
+  await settle(page);
+  assert.match(await focused(), /pv-stage/);
+  if (scenes) {
+    const root = page.locator('.pv-scenes');
+    await root.getByRole('slider', { name: /Divider/ }).press('f');
+    await settle(page);
+    await page.keyboard.press('t');
+    assert.equal(await root.locator('.pv-stage').getAttribute('data-turn'), '1');
+    await root.getByRole('button', { name: 'Show the other' }).press('s');
+    await settle(page);
+    assert.match(await focused(), /pv-stage/);
+  }
+  await close();
+});
+
 // --- Touch, phones, themes, motion ---------------------------------------------------------------
 
 test('fingers move the divider, pan and pinch', async () => {

@@ -104,5 +104,15 @@
     return target.matches('button, summary, a') && (key === ' ' || key === 'Enter');
   }
 
-  Object.assign(perceptile, { element, button, choice, slider, picker, ownsKey, freshId });
+  /**
+   * Makes a change after which what has the focus inside `root` may be hidden: then `heir` gets
+   * the focus, as without it the keys are dead.
+   */
+  function keepFocus(root, heir, change) {
+    const { activeElement } = document;
+    change();
+    if (root.contains(activeElement) && activeElement.getClientRects().length === 0) heir.focus();
+  }
+
+  Object.assign(perceptile, { element, button, choice, slider, picker, ownsKey, keepFocus, freshId });
 })((globalThis.perceptileViewer ??= {}));

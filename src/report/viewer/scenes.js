@@ -5,7 +5,7 @@
 (function (perceptile) {
   'use strict';
 
-  const { element, button, choice, slider, picker, ownsKey, freshId, Camera, ZOOM, steer, Stage } = perceptile;
+  const { element, button, choice, slider, picker, ownsKey, keepFocus, freshId, Camera, ZOOM, steer, Stage } = perceptile;
 
   const CROP_ZOOM = 3;
   /** Widest frame in CSS pixels. */
@@ -172,8 +172,10 @@
 
     setMode(mode) {
       this.mode = mode;
-      this.fillSides();
-      this.stage.setMode(mode);
+      keepFocus(this.root, this.stage.root, () => {
+        this.fillSides();
+        this.stage.setMode(mode);
+      });
     }
 
     turnByHand() {

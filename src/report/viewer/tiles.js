@@ -5,7 +5,7 @@
 (function (perceptile) {
   'use strict';
 
-  const { modulo, element, button, choice, slider, picker, ownsKey, freshId } = perceptile;
+  const { modulo, element, button, choice, slider, picker, ownsKey, keepFocus, freshId } = perceptile;
   const { Camera, ZOOM, steer, Stage, Pane, toneOf, Clock, Rate, Durations, Engine, KEEP, integrand } = perceptile;
 
   const MOST_PANES = 4;
@@ -270,7 +270,7 @@
     setMode(mode) {
       if (mode !== 'grid' && this.tiles.length > 1 && this.panes.length < 2) this.addPane(this.tiles.length - 1);
       this.mode = mode;
-      this.arrange();
+      keepFocus(this.root, mode === 'grid' ? this.panes[0].frame : this.stage.root, () => this.arrange());
       this.sync();
     }
 
