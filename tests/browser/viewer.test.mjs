@@ -875,6 +875,11 @@ test('scenes are compared, with the reference at hand', async (t) => {
   assert.equal(await root.locator('.pv-stage').getAttribute('data-turn'), '1');
   await root.getByRole('radio', { name: 'Flicker' }).press('t');
   assert.equal(await root.locator('.pv-stage').getAttribute('data-turn'), '0');
+  // After turns by hand, and where less motion is wished, they can still be had by themselves.
+  assert.equal(await root.getByLabel('Turns').inputValue(), '0');
+  await root.getByLabel('Turns').selectOption('4');
+  await root.locator('.pv-stage[data-turn="1"]').waitFor({ timeout: 1000 });
+  await root.locator('.pv-stage[data-turn="0"]').waitFor({ timeout: 1000 });
 
   await slide(page, 'Zoom', 4, '.pv-scenes');
   assert.match(await place(), /^4 0\.0 0\.0$/);

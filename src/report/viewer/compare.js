@@ -2,7 +2,7 @@
 (function (perceptile) {
   'use strict';
 
-  const { clamp, element } = perceptile;
+  const { clamp, element, button, picker } = perceptile;
 
   /** What the keys, the wheel and the fingers do to a view of a picture. */
   const ZOOM = { min: 1, max: 8 };
@@ -259,5 +259,31 @@
     }
   }
 
-  Object.assign(perceptile, { Camera, ZOOM, steer, Divider, Stage });
+  /** The controls of a stage's turns: so many a second, or one by hand. */
+  class Turns {
+    /**
+     * @param {Stage} stage
+     * @param {boolean} still whether nothing may move by itself at first
+     */
+    constructor(stage, still) {
+      this.stage = stage;
+      const rates = [['0', 'by hand'], ['1', '1 a second'], ['2', '2 a second'], ['4', '4 a second']];
+      this.rate = picker('Turns', rates, (value) => stage.setRate(Number(value)));
+      const other = button('Show the other', { onclick: () => this.byHand() });
+      this.root = element('div', { class: 'pv-turns' }, this.rate.root, other);
+      this.setRate(still ? 0 : 2);
+    }
+
+    setRate(rate) {
+      this.rate.set(String(rate));
+      this.stage.setRate(rate);
+    }
+
+    byHand() {
+      this.setRate(0);
+      this.stage.toggle();
+    }
+  }
+
+  Object.assign(perceptile, { Camera, ZOOM, steer, Divider, Stage, Turns });
 })((globalThis.perceptileViewer ??= {}));

@@ -5,7 +5,7 @@
 (function (perceptile) {
   'use strict';
 
-  const { element, button, choice, slider, picker, ownsKey, keepFocus, freshId, Camera, ZOOM, steer, Stage } = perceptile;
+  const { element, button, choice, slider, picker, ownsKey, keepFocus, freshId, Camera, ZOOM, steer, Stage, Turns } = perceptile;
 
   const CROP_ZOOM = 3;
   /** Widest frame in CSS pixels. */
@@ -49,7 +49,7 @@
     build(section) {
       const still = window.matchMedia('(prefers-reduced-motion: reduce)').matches;
       this.stage = new Stage('The rendered scene: arrow keys move it');
-      this.stage.setRate(still ? 0 : 2);
+      this.turns = new Turns(this.stage, still);
       steer(this.stage.root, this.camera, () => this.scale);
       this.images = [this.stage.first, this.stage.second].map((layer) => {
         const image = element('img', { class: 'pv-render', draggable: false });
@@ -66,7 +66,6 @@
       this.sidePickers = [0, 1].map((side) => picker('', [], (value) => this.setSide(side, value)));
       this.sideFigures = [0, 1].map(() => element('output', { class: 'pv-note' }));
       this.modeChoice = choice('Compare', [['swipe', 'Swipe'], ['flicker', 'Flicker']], (value) => this.setMode(value));
-      this.other = button('Show the other', { onclick: () => this.turnByHand() });
       this.zoomSlider = slider('Zoom', { min: ZOOM.min, max: ZOOM.max, step: 1 }, (value) => `${value}×`, (value) => this.camera.zoomTo(value));
       this.caption = element('p', { class: 'pv-caption' });
       this.crops = element('div', { class: 'pv-crops' });
@@ -79,12 +78,13 @@
         element('div', { class: 'pv-bar-top' }, this.scenePicker.root, this.viewPicker.root, this.modeChoice.root),
         this.caption,
         this.stage.root,
+        this.turns.root,
         element(
           'div',
           { class: 'pv-sides' },
           ...[0, 1].map((side) => element('div', {}, this.sidePickers[side].root, this.sideFigures[side])),
         ),
-        element('div', { class: 'pv-transport' }, this.other, this.makeReferenceButton(), this.zoomSlider.root, button('Whole picture', { class: 'pv-button pv-quiet', onclick: () => this.camera.show(1) })),
+        element('div', { class: 'pv-transport' }, this.makeReferenceButton(), this.zoomSlider.root, button('Whole picture', { class: 'pv-button pv-quiet', onclick: () => this.camera.show(1) })),
         this.crops,
       );
       this.root.addEventListener('keydown', (event) => this.key(event));
@@ -116,7 +116,7 @@
       const actions = {
         s: () => this.setMode('swipe'),
         f: () => this.setMode('flicker'),
-        t: () => this.mode === 'flicker' && this.turnByHand(),
+        t: () => this.mode === 'flicker' && this.turns.byHand(),
         r: () => this.showReference(true),
         '+': () => this.camera.zoomTo(this.camera.zoom + 1),
         '-': () => this.camera.zoomTo(this.camera.zoom - 1),
@@ -178,11 +178,6 @@
       });
     }
 
-    turnByHand() {
-      this.stage.setRate(0);
-      this.stage.toggle();
-    }
-
     showReference(shown) {
       this.referenceLayer.hidden = !shown || !this.scene.reference;
       this.referenceButton.setAttribute('aria-pressed', String(!this.referenceLayer.hidden));
@@ -195,7 +190,7 @@
 
     fillSides() {
       this.modeChoice.set(this.mode);
-      this.other.hidden = this.mode !== 'flicker';
+      this.turns.root.hidden = this.mode !== 'flicker';
       const labels = this.mode === 'swipe' ? ['Left', 'Right'] : ['First', 'Second'];
       this.sides.forEach((name, side) => {
         const picture = this.pictures.find((one) => one.name === name);

@@ -6,7 +6,7 @@
   'use strict';
 
   const { modulo, element, button, choice, slider, picker, ownsKey, keepFocus, freshId } = perceptile;
-  const { Camera, ZOOM, steer, Stage, Pane, toneOf, Clock, Rate, Durations, Engine, KEEP, integrand } = perceptile;
+  const { Camera, ZOOM, steer, Stage, Turns, Pane, toneOf, Clock, Rate, Durations, Engine, KEEP, integrand } = perceptile;
 
   const MOST_PANES = 4;
   /** Sides of the soft shadow's picture: the tile repeats up to about this many pixels. */
@@ -135,7 +135,7 @@
 
       this.stage = new Stage('Two pictures: arrow keys move them');
       steer(this.stage.root, this.camera, () => this.unit());
-      this.turns = this.makeTurns();
+      this.turns = new Turns(this.stage, this.still);
       this.grid = element('div', { class: 'pv-grid' });
       this.add = button('Add a picture', { class: 'pv-button pv-quiet', onclick: () => this.morePanes() });
       this.status = element('p', { class: 'pv-status' });
@@ -177,16 +177,6 @@
       close.popoverTargetElement = panel;
       close.popoverTargetAction = 'hide';
       return panel;
-    }
-
-    makeTurns() {
-      const rates = [['0', 'by hand'], ['1', '1 a second'], ['2', '2 a second'], ['4', '4 a second']];
-      const rate = picker('Turns', rates, (value) => this.stage.setRate(Number(value)));
-      const other = button('Show the other', { onclick: () => this.turnByHand() });
-      const initial = this.still ? '0' : '2';
-      rate.set(initial);
-      this.stage.setRate(Number(initial));
-      return { root: element('div', { class: 'pv-turns' }, rate.root, other), rate };
     }
 
     makeTransport() {
@@ -301,12 +291,6 @@
       this.sync();
     }
 
-    turnByHand() {
-      this.turns.rate.set('0');
-      this.stage.setRate(0);
-      this.stage.toggle();
-    }
-
     addPane(tile) {
       const pane = new Pane(
         this.tiles,
@@ -351,7 +335,7 @@
         g: () => this.setMode('grid'),
         s: () => this.setMode('swipe'),
         f: () => this.setMode('flicker'),
-        t: () => this.mode === 'flicker' && this.turnByHand(),
+        t: () => this.mode === 'flicker' && this.turns.byHand(),
         '+': () => this.camera.zoomTo(this.camera.zoom + 1),
         '-': () => this.camera.zoomTo(this.camera.zoom - 1),
         0: () => this.resetCamera(),
