@@ -898,6 +898,12 @@ test('scenes are compared, with the reference at hand', async (t) => {
     };
     near(left, x + size / 2 - scene.width / 2, scene.width);
     near(top, y + size / 2 - scene.height / 2, scene.height);
+    const last = root.getByRole('button', { name: /^Crop . of/ }).last();
+    await page.setViewportSize({ width: 1200, height: 300 });
+    await last.click();
+    const stage = await root.locator('.pv-stage').boundingBox();
+    assert.ok(stage.y < 300 && stage.y + stage.height > 0, 'it is in sight');
+    await page.setViewportSize({ width: 1200, height: 1000 });
   }
   await root.getByRole('button', { name: 'Whole picture' }).click();
   assert.match(await place(), /^1 -?0\.0 -?0\.0$/);

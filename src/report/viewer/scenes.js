@@ -272,11 +272,12 @@
       return cell;
     }
 
-    /** Moves the big view to a crop, as large as fits. */
+    /** Moves the big view to a crop, as large as fits, and the page to the big view. */
     visit({ x, y, size }) {
       const { width, height } = this.scene;
       const zoom = Math.floor(Math.min(width, height) / size);
       this.camera.show(Math.min(Math.max(zoom, ZOOM.min), ZOOM.max), x + size / 2 - width / 2, y + size / 2 - height / 2);
+      this.stage.root.scrollIntoView({ block: 'nearest' });
     }
   }
 
