@@ -853,6 +853,7 @@ test('scenes are compared, with the reference at hand', async (t) => {
   if (scene.reference) {
     const reference = root.locator('.pv-layer', { hasText: 'Reference' });
     const held = root.getByRole('button', { name: 'Hold for the reference' });
+    assert.deepEqual(await held.evaluate((node) => [getComputedStyle(node).touchAction, getComputedStyle(node).userSelect]), ['none', 'none']);
     await held.hover();
     await page.mouse.down();
     assert.ok(await reference.isVisible());

@@ -97,7 +97,7 @@
     }
 
     makeReferenceButton() {
-      const held = button('Hold for the reference', { 'aria-pressed': 'false', title: 'Or hold R' });
+      const held = button('Hold for the reference', { class: 'pv-button pv-held', 'aria-pressed': 'false', title: 'Or hold R' });
       const show = () => this.showReference(true);
       const hide = () => this.showReference(false);
       held.addEventListener('pointerdown', (event) => {
