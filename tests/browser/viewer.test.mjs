@@ -924,6 +924,18 @@ test('without script the pictures of the scenes are there', async (t) => {
   await context.close();
 });
 
+test('on paper the pictures of the scenes stand in place of the viewers', async (t) => {
+  const { page, close } = await open(browser, made.folder);
+  await page.emulateMedia({ media: 'print' });
+  assert.equal(await page.locator('.pv:visible').count(), 0);
+  if (!scenes) t.diagnostic('no renders in this report');
+  else assert.ok((await page.locator('#scenes img:visible').count()) >= scenes.length);
+  await page.emulateMedia({ media: 'screen' });
+  assert.ok(await page.locator('#viewer').isVisible());
+  assert.equal(await page.locator('#scenes figure:visible').count(), 0);
+  await close();
+});
+
 // --- Time ----------------------------------------------------------------------------------------
 
 test('a frame of four large tiles is quick, once it is prepared', async (t) => {

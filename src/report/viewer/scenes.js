@@ -89,9 +89,9 @@
       );
       this.root.addEventListener('keydown', (event) => this.key(event));
       this.root.addEventListener('keyup', (event) => event.key.toLowerCase() === 'r' && this.showReference(false));
-      // What the page shows without script gives way.
+      // What the page shows without script gives way, but not on paper.
       const figuresOfPage = section.querySelectorAll('figure');
-      figuresOfPage.forEach((figure) => (figure.hidden = true));
+      figuresOfPage.forEach((figure) => figure.classList.add('pv-replaced'));
       if (figuresOfPage.length > 0) figuresOfPage[0].before(this.root);
       else section.append(this.root);
     }
