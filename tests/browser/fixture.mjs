@@ -201,7 +201,7 @@ export function writeFixture(folder) {
   const several = { width: 24, height: 40, frames: 8, spp: 4 };
   const tiles = [
     { name: 'lattice', ...shape, numbers: lattice(shape) },
-    { name: 'several <samples> under a name that is wider than a phone', ...several, numbers: whiteNoise(several, 7) },
+    { name: `several <samples> under a ${'wide'.repeat(50)} name`, ...several, numbers: whiteNoise(several, 7) },
     { name: 'one dimension', ...shape, numbers: flat(shape) },
     { name: 'part', ...shape, whole: false, numbers: whiteNoise(shape, 9) },
     { name: 'White noise', ...shape, numbers: whiteNoise(shape, 5) },
