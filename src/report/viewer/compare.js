@@ -285,5 +285,5 @@
     }
   }
 
-  Object.assign(perceptile, { Camera, ZOOM, steer, Divider, Stage, Turns });
+  Object.assign(perceptile, { Camera, ZOOM, steer, Stage, Turns });
 })((globalThis.perceptileViewer ??= {}));

@@ -174,5 +174,5 @@
     }
   }
 
-  Object.assign(perceptile, { clamp, halfPlane, diskInSquare, diskOnLine, integrand, Shadow });
+  Object.assign(perceptile, { clamp, diskInSquare, integrand, Shadow });
 })((globalThis.perceptileViewer ??= {}));

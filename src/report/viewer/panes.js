@@ -188,5 +188,5 @@
     }
   }
 
-  Object.assign(perceptile, { Pane, develop, toneOf, ratioText, TONE });
+  Object.assign(perceptile, { Pane, toneOf });
 })((globalThis.perceptileViewer ??= {}));

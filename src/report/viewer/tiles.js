@@ -727,5 +727,5 @@
     }
   }
 
-  Object.assign(perceptile, { TileViewer, INTEGRANDS });
+  Object.assign(perceptile, { TileViewer });
 })((globalThis.perceptileViewer ??= {}));
