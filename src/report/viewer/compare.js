@@ -134,9 +134,9 @@
 
   /** The line between two pictures; what is left of it shows the first, right of it the second. */
   class Divider {
-    /** @param {(share: number) => void} moved gets 0 to 1 from the left */
+    /** @param {() => void} moved called when `share`, 0 to 1 from the left, has changed */
     constructor(moved) {
-      this.moved = () => {};
+      this.moved = moved;
       this.root = element(
         'div',
         {
@@ -153,8 +153,7 @@
       this.root.addEventListener('pointerdown', (event) => this.grab(event));
       this.root.addEventListener('pointermove', (event) => this.drag(event));
       this.root.addEventListener('keydown', (event) => this.key(event));
-      this.set(0.5);
-      this.moved = moved;
+      this.put(0.5);
     }
 
     grab(event) {
@@ -181,12 +180,16 @@
     }
 
     set(share) {
-      this.share = clamp(share, 0, 1);
+      this.put(clamp(share, 0, 1));
+      this.moved();
+    }
+
+    put(share) {
+      this.share = share;
       const percent = Math.round(this.share * 100);
       this.root.style.left = `${this.share * 100}%`;
       this.root.setAttribute('aria-valuenow', String(percent));
       this.root.setAttribute('aria-valuetext', `${percent} % from the left`);
-      this.moved(this.share);
     }
   }
 
