@@ -64,9 +64,9 @@
    *
    * @param {HTMLElement} frame
    * @param {Camera} camera
-   * @param {() => number} scale how many CSS pixels a pixel of the picture takes
+   * @param {() => number} unit how many CSS pixels a pixel of the picture takes
    */
-  function steer(frame, camera, scale) {
+  function steer(frame, camera, unit) {
     /** @type {Map<number, {x: number, y: number}>} */
     const fingers = new Map();
     // A gesture of a fraction of a step must not be lost to a camera that rounds.
@@ -74,7 +74,7 @@
 
     const fromMiddle = (x, y) => {
       const box = frame.getBoundingClientRect();
-      return [(x - box.left - box.width / 2) / scale(), (y - box.top - box.height / 2) / scale()];
+      return [(x - box.left - box.width / 2) / unit(), (y - box.top - box.height / 2) / unit()];
     };
     const zoomBy = (factor, x, y) => {
       wish = clamp(wish * factor, ZOOM.min, ZOOM.max);
@@ -99,7 +99,7 @@
       const { x, y } = before;
       Object.assign(finger, { x: event.clientX, y: event.clientY });
       const after = fingers.size === 2 ? spread() : finger;
-      camera.pan((x - after.x) / scale(), (y - after.y) / scale());
+      camera.pan((x - after.x) / unit(), (y - after.y) / unit());
       if (fingers.size === 2 && size > 0) zoomBy(after.size / size, after.x, after.y);
     });
     const lift = (event) => fingers.delete(event.pointerId);

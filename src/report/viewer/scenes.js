@@ -36,7 +36,7 @@
       this.view = this.scene.views[0];
       this.mode = 'swipe';
       this.sides = ['', ''];
-      this.unit = 1;
+      this.fit = 1;
       this.camera = new Camera(
         () => this.bounds(),
         () => this.place(),
@@ -50,7 +50,7 @@
       const still = window.matchMedia('(prefers-reduced-motion: reduce)').matches;
       this.stage = new Stage('The rendered scene: arrow keys move it');
       this.turns = new Turns(this.stage, still);
-      steer(this.stage.root, this.camera, () => this.scale);
+      steer(this.stage.root, this.camera, () => this.unit);
       this.images = [this.stage.first, this.stage.second].map((layer) => {
         const image = element('img', { class: 'pv-render', draggable: false });
         layer.append(image);
@@ -215,31 +215,31 @@
     resize() {
       const { width } = this.scene;
       const ratio = window.devicePixelRatio;
-      const fit = Math.min(this.root.clientWidth, MOST_WIDTH) / width;
-      this.unit = (fit * ratio >= 1 ? Math.floor(fit * ratio) / ratio : fit) || 1;
-      this.stage.root.style.width = `${width * this.unit}px`;
+      const most = Math.min(this.root.clientWidth, MOST_WIDTH) / width;
+      this.fit = (most * ratio >= 1 ? Math.floor(most * ratio) / ratio : most) || 1;
+      this.stage.root.style.width = `${width * this.fit}px`;
       this.camera.settle();
     }
 
     /** CSS pixels of a pixel of the picture. */
-    get scale() {
-      return this.unit * this.camera.zoom;
+    get unit() {
+      return this.fit * this.camera.zoom;
     }
 
     bounds() {
       const { width, height } = this.scene;
-      const { room, scale } = this;
-      return [Math.max((width - room.width / scale) / 2, 0), Math.max((height - room.height / scale) / 2, 0)];
+      const { room, unit } = this;
+      return [Math.max((width - room.width / unit) / 2, 0), Math.max((height - room.height / unit) / 2, 0)];
     }
 
     place() {
       const { width, height } = this.scene;
-      const { room, scale, camera } = this;
-      const left = Math.round(room.width / 2 - (width / 2 + camera.x) * scale);
-      const top = Math.round(room.height / 2 - (height / 2 + camera.y) * scale);
+      const { room, unit, camera } = this;
+      const left = Math.round(room.width / 2 - (width / 2 + camera.x) * unit);
+      const top = Math.round(room.height / 2 - (height / 2 + camera.y) * unit);
       for (const image of [...this.images, this.referenceImage]) {
-        image.style.transform = `translate(${left}px, ${top}px) scale(${scale})`;
-        image.style.imageRendering = scale >= 1 ? 'pixelated' : 'auto';
+        image.style.transform = `translate(${left}px, ${top}px) scale(${unit})`;
+        image.style.imageRendering = unit >= 1 ? 'pixelated' : 'auto';
       }
       this.stage.root.classList.toggle('pv-zoomed', camera.zoom > 1);
       this.stage.root.dataset.camera = [camera.zoom, camera.x.toFixed(1), camera.y.toFixed(1)].join(' ');
