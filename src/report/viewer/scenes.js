@@ -12,18 +12,14 @@
   const MOST_WIDTH = 768;
 
   /**
-   * @typedef {{name: string, view: string, file: string, value: number, ratio: number | null}} Picture
+   * @typedef {{name: string, view: string, file: string, value: number, ratio: number}} Picture
    * @typedef {{name: string, caption: string, width: number, height: number,
    *   reference: string | null, views: string[], pictures: Picture[],
    *   crops: {x: number, y: number, size: number}[]}} Scene
    */
 
-  const digits = (value) => (Number.isFinite(value) ? value.toPrecision(3) : '–');
-
   /** The figures of a picture in words. */
-  function figures({ value, ratio }) {
-    return Number.isFinite(ratio) ? `${digits(value)}, ${digits(ratio)} of white noise` : digits(value);
-  }
+  const figures = ({ value, ratio }) => `${value.toPrecision(3)}, ${ratio.toPrecision(3)} of white noise`;
 
   class SceneViewer {
     /**
