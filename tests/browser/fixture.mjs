@@ -134,7 +134,7 @@ const json = (value) => JSON.stringify(value).replace(/</g, '\\u003c');
  *
  * @param {string} folder
  * @param {{name: string, width: number, height: number, frames: number, spp?: number,
- *   whole?: boolean, numbers: Uint16Array}[]} tiles
+ *   dims?: number, whole?: boolean, numbers: Uint16Array}[]} tiles
  * @param {object[]} scenes as in scenes-data
  */
 export function writeReport(folder, tiles, scenes = []) {
@@ -147,7 +147,7 @@ export function writeReport(folder, tiles, scenes = []) {
   const data = {
     fps: 60,
     views: views(),
-    tiles: tiles.map(({ name, width, height, frames, spp = 1, whole = true }, number) => ({ name, file: `tiles/${number}.js`, width, height, frames, spp, whole })),
+    tiles: tiles.map(({ name, width, height, frames, spp = 1, dims = 2, whole = true }, number) => ({ name, file: `tiles/${number}.js`, width, height, frames, spp, dims, whole })),
   };
   const figures = scenes.map(
     ({ name, pictures, width, height }) =>
@@ -202,7 +202,7 @@ export function writeFixture(folder) {
   const tiles = [
     { name: 'lattice', ...shape, numbers: lattice(shape) },
     { name: `several <samples> under a ${'wide'.repeat(50)} name`, ...several, numbers: whiteNoise(several, 7) },
-    { name: 'one dimension', ...shape, numbers: flat(shape) },
+    { name: 'one dimension', ...shape, dims: 1, numbers: flat(shape) },
     { name: 'part', ...shape, whole: false, numbers: whiteNoise(shape, 9) },
     { name: 'White noise', ...shape, numbers: whiteNoise(shape, 5) },
   ];

@@ -204,7 +204,7 @@ test('the ratio is that of the definition', () => {
 });
 
 test('tiles of one dimension are integrated along their line', () => {
-  const tileShape = { width: 64, height: 64, frames: 16, spp: 1 };
+  const tileShape = { width: 64, height: 64, frames: 16, spp: 1, dims: 1 };
   const shape = { width: 64, height: 64, frames: 16 };
   const numbers = flat(tileShape);
   for (const integrand of [DESCRIPTIONS[0], DESCRIPTIONS[4], DESCRIPTIONS[8], DESCRIPTIONS[10], { kind: 'shadow', size: 0.22, softness: 0.5 }]) {

@@ -163,6 +163,20 @@ test('tiles of several samples, of one dimension and parts of tiles are right, t
   await close();
 });
 
+test('a tile of one dimension has a soft shadow of its own', { skip: REPORT !== null }, async () => {
+  const { page, close } = await open(browser, made.folder);
+  await page.getByLabel('Tile 2').selectOption({ label: 'one dimension' });
+  await radio(page, 'Raw').check();
+  await radio(page, 'Soft shadow').check();
+  await ready(page);
+  // One sample is all of the light or nothing of it, so truth and error together are, too.
+  for (const slot of [0, 1]) {
+    const { values } = await greys(page, slot);
+    for (const grey of values) assert.ok(Math.abs(grey - 25.5) < 1 || Math.abs(grey - 229.5) < 1, `${grey}`);
+  }
+  await close();
+});
+
 test('a tile that cannot be loaded says so, and the others play', { skip: REPORT !== null }, async () => {
   const broken = temporary();
   writeFixture(broken.folder);

@@ -51,7 +51,7 @@
   class Pane {
     /**
      * @param {{name: string, width: number, height: number, frames: number, spp: number,
-     *   whole: boolean}[]} tiles
+     *   dims: number, whole: boolean}[]} tiles
      * @param {(number: number) => void} picked another tile
      * @param {() => void} removed the pane is no longer wanted
      */

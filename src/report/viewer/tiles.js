@@ -493,15 +493,15 @@
 
     /** The job of a tile's animation as a view, or of the exact soft shadow. */
     job(kind, tile, view) {
-      const { width, height, frames, spp } = this.tiles[tile];
+      const { width, height, frames, spp, dims } = this.tiles[tile];
       const shape = this.shapeOf(tile);
       const description = { kind: this.kind, ...this.values[this.kind] };
-      const subject = kind === 'truth' ? 'truth' : [tile, view];
+      const subject = kind === 'truth' ? ['truth', dims] : [tile, view];
       return {
         key: JSON.stringify([subject, description, shape]),
         kind,
         tile,
-        tileShape: { width, height, frames, spp },
+        tileShape: { width, height, frames, spp, dims },
         shape,
         integrand: description,
         kernel: kind === 'truth' ? null : this.views[view].kernel,

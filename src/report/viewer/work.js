@@ -15,7 +15,7 @@
    * @property {string} key
    * @property {'error' | 'truth'} kind the filtered error of a tile, or the exact soft shadow
    * @property {number} [tile] number of the tile (kind error)
-   * @property {{width: number, height: number, frames: number, spp: number}} tileShape
+   * @property {{width: number, height: number, frames: number, spp: number, dims: number}} tileShape
    * @property {{width: number, height: number, frames: number}} shape of the animation
    * @property {object} integrand a description, see integrands.js
    * @property {object | null} kernel
@@ -47,18 +47,14 @@
   }
 
   /** Whether the second coordinate is the 1/2 that tiles of one dimension are given. */
-  function isFlat(numbers) {
-    for (let i = 1; i < numbers.length; i += 2) {
-      if (numbers[i] !== 32767 && numbers[i] !== 32768) return false;
-    }
-    return true;
-  }
+  const isFlat = ({ tileShape }) => tileShape.dims === 1;
 
   const coordinate = (number) => (number + 0.5) / 65536;
 
   /** The error of each pixel, its mean of f over the samples less the integral, into `errors`. */
-  function* plainErrors(numbers, flat, job, errors) {
+  function* plainErrors(numbers, job, errors) {
     const { spp, frames } = job.tileShape;
+    const flat = isFlat(job);
     const { at, integral } = integrand(job.integrand, flat);
     const pixels = errors.length / frames;
     let from = 0;
@@ -76,9 +72,10 @@
   }
 
   /** The same for the soft shadow, on a picture over which the tile repeats. */
-  function* shadowErrors(numbers, flat, job, truth, errors) {
+  function* shadowErrors(numbers, job, truth, errors) {
     const { tileShape, shape } = job;
     const { spp } = tileShape;
+    const flat = isFlat(job);
     const shadow = new Shadow(job.integrand, shape, flat);
     const squared = shadow.radius * shadow.radius;
     let i = 0;
@@ -137,7 +134,7 @@
   /** Does jobs, and keeps what the next ones can use. */
   class Bench {
     constructor() {
-      /** @type {Map<number, {numbers: Uint16Array, flat: boolean}>} */
+      /** @type {Map<number, Uint16Array>} */
       this.tiles = new Map();
       /** The last errors of each tile, and the last exact shadow. */
       this.errors = new Map();
@@ -145,32 +142,32 @@
     }
 
     *addTile(number, text) {
-      const numbers = yield* decode(text);
-      this.tiles.set(number, { numbers, flat: isFlat(numbers) });
+      this.tiles.set(number, yield* decode(text));
     }
 
     /** The samples of a job's tile, which must be as many as its shape says. */
     samplesOf({ tile, tileShape: { width, height, frames, spp } }) {
-      const samples = this.tiles.get(tile);
+      const numbers = this.tiles.get(tile);
       const expected = width * height * frames * spp * 2;
-      if (samples?.numbers.length !== expected) {
-        throw new Error(`tile ${tile} holds ${samples?.numbers.length ?? 0} numbers, not ${expected}`);
+      if (numbers?.length !== expected) {
+        throw new Error(`tile ${tile} holds ${numbers?.length ?? 0} numbers, not ${expected}`);
       }
-      return samples;
+      return numbers;
     }
 
-    *truthOf(description, shape, flat) {
-      const key = JSON.stringify([description, shape, flat]);
+    *truthOf(job) {
+      const { integrand: description, shape } = job;
+      const key = JSON.stringify([description, shape, isFlat(job)]);
       if (this.truth.key !== key) {
         const values = new Float32Array(shape.width * shape.height * shape.frames);
-        const variance = yield* shadowTruth(description, shape, flat, values);
+        const variance = yield* shadowTruth(description, shape, isFlat(job), values);
         this.truth = { key, values, variance };
       }
       return this.truth;
     }
 
     *errorsOf(job) {
-      const { numbers, flat } = this.samplesOf(job);
+      const numbers = this.samplesOf(job);
       const key = JSON.stringify([job.integrand, job.shape]);
       const known = this.errors.get(job.tile);
       if (known?.key === key) return known;
@@ -179,12 +176,12 @@
       const values = new Float32Array(width * height * frames);
       let variance;
       if (job.integrand.kind === 'shadow') {
-        const truth = yield* part(this.truthOf(job.integrand, job.shape, flat), 0, 0.5);
-        yield* part(shadowErrors(numbers, flat, job, truth.values, values), 0.5, 1);
+        const truth = yield* part(this.truthOf(job), 0, 0.5);
+        yield* part(shadowErrors(numbers, job, truth.values, values), 0.5, 1);
         variance = truth.variance;
       } else {
-        yield* plainErrors(numbers, flat, job, values);
-        variance = integrand(job.integrand, flat).variance;
+        yield* plainErrors(numbers, job, values);
+        variance = integrand(job.integrand, isFlat(job)).variance;
       }
       const made = { key, values, variance };
       this.errors.set(job.tile, made);
@@ -197,8 +194,7 @@
      */
     *work(job, emit) {
       if (job.kind === 'truth') {
-        const { flat } = this.samplesOf(job);
-        const { values } = yield* part(this.truthOf(job.integrand, job.shape, flat), 0, 0.9);
+        const { values } = yield* part(this.truthOf(job), 0, 0.9);
         yield* part(
           filter(values, job.shape, null, (t, frame) => emit({ type: 'frame', key: job.key, t, values: frame })),
           0.9,
