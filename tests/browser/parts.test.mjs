@@ -25,11 +25,13 @@ function work(numbers, job) {
   finish(bench.addTile(0, base64(numbers)));
   const frames = [];
   let ratio = NaN;
-  finish(bench.work({ key: 'job', tile: 0, ...job }, (message) => {
+  let wraps = null;
+  const tileShape = { whole: true, ...job.tileShape };
+  finish(bench.work({ key: 'job', tile: 0, ...job, tileShape }, (message) => {
     if (message.type === 'frame') frames[message.t] = message.values;
-    else ratio = message.ratio;
+    else ({ ratio, wraps } = message);
   }));
-  return { frames, ratio };
+  return { frames, ratio, wraps };
 }
 
 const DESCRIPTIONS = [
@@ -203,6 +205,86 @@ test('the ratio is that of the definition', () => {
   assert.ok(Math.abs(ratio / expected - 1) < 1e-5, `${ratio} for ${expected}`);
 });
 
+test('the figure of a part is that of the same pixels of the whole tile', () => {
+  const whole = { width: 40, height: 36, frames: 14 };
+  const numbers = lattice(whole);
+  const cut = { width: 20, height: 17, frames: 10, spp: 1, whole: false };
+  const part = new Uint16Array(cut.width * cut.height * cut.frames * 2);
+  let to = 0;
+  for (let t = 0; t < cut.frames; t += 1) {
+    for (let y = 0; y < cut.height; y += 1) {
+      const from = 2 * whole.width * (t * whole.height + y);
+      part.set(numbers.subarray(from, from + 2 * cut.width), to);
+      to += 2 * cut.width;
+    }
+  }
+  const share = Math.PI * 0.09;
+  const errors = Array.from({ length: numbers.length / 2 }, (_, i) => {
+    const [u, v] = [(numbers[2 * i] + 0.5) / 65536, (numbers[2 * i + 1] + 0.5) / 65536];
+    return (Math.hypot(u - 0.5, v - 0.5) < 0.3 ? 1 : 0) - share;
+  });
+  const [plane] = kernel([1]).planes;
+  const late = { ...plane, x: -1, y: 2 };
+  const aside = { power: 0.3, planes: [plane, late], slices: [{ dt: 1, plane: 1, scale: 0.5 }, { dt: -2, plane: 1, scale: 1 }] };
+  // Of each kernel, the columns, rows and frames of the part for which it stays inside.
+  for (const [one, [x0, x1], [y0, y1], [t0, t1]] of [
+    [kernel([0.5, 0.3, -0.2]), [3, 17], [3, 14], [2, 10]],
+    [aside, [1, 15], [0, 9], [2, 9]],
+  ]) {
+    let [sum, count] = [0, 0];
+    for (let t = t0; t < t1; t += 1) {
+      for (let y = y0; y < y1; y += 1) {
+        for (let x = x0; x < x1; x += 1, count += 1) sum += direct(errors, whole, one, x, y, t) ** 2;
+      }
+    }
+    const expected = sum / count / (share * (1 - share) * one.power);
+    const job = { kind: 'error', tileShape: cut, shape: { width: 20, height: 17, frames: 10 }, integrand: DESCRIPTIONS[4], kernel: one };
+    const { ratio, wraps } = work(part, job);
+    assert.ok(Math.abs(ratio / expected - 1) < 1e-5, `${ratio} for ${expected}`);
+    assert.equal(wraps, false);
+    const rolled = work(part, { ...job, tileShape: { ...cut, whole: true } });
+    assert.ok(Math.abs(rolled.ratio / expected - 1) > 0.05, 'the ends make a difference');
+  }
+});
+
+test('a part that is shorter than the kernel wraps, and says so', () => {
+  const shape = { width: 16, height: 5, frames: 8 };
+  const numbers = whiteNoise(shape, 4);
+  const one = kernel([0.6, 0.4]);
+  const job = { kind: 'error', tileShape: { ...shape, spp: 1, whole: false }, shape, integrand: DESCRIPTIONS[4], kernel: one };
+  const { frames, ratio, wraps } = work(numbers, job);
+  assert.equal(wraps, true);
+  let [sum, count] = [0, 0];
+  for (let t = 1; t < 8; t += 1) {
+    for (let y = 0; y < 5; y += 1) {
+      for (let x = 3; x < 13; x += 1, count += 1) sum += frames[t][y * 16 + x] ** 2;
+    }
+  }
+  const share = Math.PI * 0.09;
+  assert.ok(Math.abs(ratio / (sum / count / (share * (1 - share) * one.power)) - 1) < 1e-5);
+});
+
+test('where a part repeats, its inner ends are left out, too', () => {
+  const tile = { width: 12, height: 12, frames: 4 };
+  const shape = { width: 24, height: 24, frames: 8 };
+  const integrand = { kind: 'shadow', size: 0.25, softness: 0.6 };
+  const one = kernel([0.6, 0.4]);
+  const job = { tileShape: { ...tile, spp: 1, whole: false }, shape, integrand, kernel: one };
+  const numbers = whiteNoise(tile, 8);
+  const { frames, ratio } = work(numbers, { ...job, kind: 'error' });
+  const truth = work(numbers, { ...job, kind: 'truth', kernel: null });
+  let [sum, variance] = [0, 0];
+  for (const t of [1, 2, 3, 5, 6, 7]) {
+    for (const y of [3, 4, 5, 6, 7, 8, 15, 16, 17, 18, 19, 20]) {
+      for (const x of [3, 4, 5, 6, 7, 8, 15, 16, 17, 18, 19, 20]) {
+        sum += frames[t][y * 24 + x] ** 2;
+        variance += truth.frames[t][y * 24 + x] * (1 - truth.frames[t][y * 24 + x]);
+      }
+    }
+  }
+  assert.ok(Math.abs(ratio / (sum / (variance * one.power)) - 1) < 1e-5, `${ratio}`);
+});
+
 test('tiles of one dimension are integrated along their line', () => {
   const tileShape = { width: 64, height: 64, frames: 16, spp: 1, dims: 1 };
   const shape = { width: 64, height: 64, frames: 16 };
@@ -240,7 +322,7 @@ test('a tile that holds too little says so', () => {
   const bench = new viewer.Bench();
   finish(bench.addTile(3, base64(new Uint16Array(10))));
   const shape = { width: 4, height: 4, frames: 2 };
-  const job = { key: 'job', kind: 'error', tile: 3, tileShape: { ...shape, spp: 1 }, shape, integrand: DESCRIPTIONS[0], kernel: null };
+  const job = { key: 'job', kind: 'error', tile: 3, tileShape: { ...shape, spp: 1, whole: true }, shape, integrand: DESCRIPTIONS[0], kernel: null };
   assert.throws(() => finish(bench.work(job, () => {})), /tile 3 holds 10 numbers, not 64/);
 });
 
@@ -252,7 +334,7 @@ test('the queue does what is wanted last, and tells of failures', () => {
     while (later.length > 0) later.shift()();
   };
   const shape = { width: 4, height: 4, frames: 2 };
-  const job = (key, tile) => ({ key, kind: 'error', tile, tileShape: { ...shape, spp: 1 }, shape, integrand: DESCRIPTIONS[0], kernel: null });
+  const job = (key, tile) => ({ key, kind: 'error', tile, tileShape: { ...shape, spp: 1, whole: true }, shape, integrand: DESCRIPTIONS[0], kernel: null });
   queue.receive({ type: 'want', jobs: [job('dropped', 0)] });
   queue.receive({ type: 'tile', number: 0, text: base64(whiteNoise({ ...shape, spp: 1 })) });
   queue.receive({ type: 'want', jobs: [job('first', 0), job('broken', 9), job('last', 0)] });
@@ -267,7 +349,7 @@ test('the queue drops what is under way when it is no longer wanted', () => {
   const later = [];
   const queue = new viewer.Queue((message) => messages.push(message), 0.2, (run) => later.push(run));
   const shape = { width: 64, height: 64, frames: 64 };
-  const job = (key) => ({ key, kind: 'error', tile: 0, tileShape: { ...shape, spp: 1 }, shape, integrand: DESCRIPTIONS[8], kernel: null });
+  const job = (key) => ({ key, kind: 'error', tile: 0, tileShape: { ...shape, spp: 1, whole: true }, shape, integrand: DESCRIPTIONS[8], kernel: null });
   queue.receive({ type: 'tile', number: 0, text: base64(whiteNoise({ ...shape, spp: 1 })) });
   queue.receive({ type: 'want', jobs: [job('old')] });
   while (!messages.some(({ type, key }) => type === 'progress' && key === 'old')) later.shift()();

@@ -73,10 +73,24 @@ function filtered(errors, { width, height, frames }, kernel) {
   return result;
 }
 
+/** Of a part of a tile, the pixels for which the kernel does not reach beyond its ends. */
+function inner(values, { width, height, frames }, { planes, slices }) {
+  const stays = (at, length, taps) => taps.every(([first, last]) => at + first >= 0 && at + last < length);
+  return values.filter((_, i) => {
+    const [x, y, t] = [i % width, Math.floor(i / width) % height, Math.floor(i / width / height)];
+    return (
+      stays(x, width, planes.map((plane) => [plane.x, plane.x + plane.width - 1])) &&
+      stays(y, height, planes.map((plane) => [plane.y, plane.y + plane.height - 1])) &&
+      stays(t, frames, slices.map(({ dt }) => [dt, dt]))
+    );
+  });
+}
+
 /** What picture and figure of a tile must be. */
 function expected(tile, of, kernel) {
   const values = filtered(errorsOf(tile, of), tile, kernel);
-  const mean = values.reduce((sum, value) => sum + value * value, 0) / values.length;
+  const counted = tile.whole || !kernel ? values : inner(values, tile, kernel);
+  const mean = counted.reduce((sum, value) => sum + value * value, 0) / counted.length;
   return { values, ratio: mean / ((of.variance * (kernel?.power ?? 1)) / tile.spp) };
 }
 
@@ -157,8 +171,12 @@ test('tiles of several samples, of one dimension and parts of tiles are right, t
   assert.ok(Math.abs((await ratios(page))[0] / ratio - 1) < 1e-4);
 
   await picker.selectOption({ label: 'part (part of the tile)' });
+  await slide(page, 'Offset', 0);
+  await slide(page, 'Angle', 30);
   await ready(page);
-  assert.match(await page.locator('#viewer .pv-pane').first().textContent(), /part of the tile/);
+  assert.match(await page.locator('#viewer .pv-note').first().textContent(), /, part of the tile$/);
+  const cut = expected(data.tiles[3], FUNCTIONS.Edge, data.views[1].kernel);
+  assert.ok(Math.abs((await ratios(page))[0] / cut.ratio - 1) < 1e-4);
   assert.deepEqual((({ width, height }) => [width, height])(await greys(page, 0)), [64, 64]);
   await close();
 });
@@ -349,8 +367,10 @@ test('while it plays, the slider of the frame moves', { skip: REPORT !== null },
 test('stepping is even for tiles of unequal periods, in both directions', { skip: REPORT !== null }, async () => {
   const odd = temporary();
   const sizes = [['long', 16], ['short', 5]];
-  writeReport(odd.folder, sizes.map(([name, frames]) => ({ name, width: 24, height: 24, frames, numbers: whiteNoise({ width: 24, height: 24, frames }, frames) })));
+  writeReport(odd.folder, sizes.map(([name, frames]) => ({ name, width: 24, height: 24, frames, whole: frames > 8, numbers: whiteNoise({ width: 24, height: 24, frames }, frames) })));
   const { page, close } = await open(browser, odd.folder);
+  // The kernel has eight frames.
+  assert.deepEqual(await page.locator('#viewer .pv-note').allTextContents(), ['24 × 24 × 16', '24 × 24 × 5, part of the tile, ends wrap']);
   await radio(page, 'Raw').check();
   await ready(page);
   const tiles = dataOf(odd.folder, 'viewer-data').tiles;

@@ -116,22 +116,60 @@
     }
   }
 
-  /** Σ value², in double precision. */
-  function squares(values) {
+  /** The first and the last tap of a kernel across, down and in time. */
+  function reach(kernel) {
+    if (!kernel) return { x: [0, 0], y: [0, 0], t: [0, 0] };
+    const planes = kernel.slices.map(({ plane }) => kernel.planes[plane]);
+    const ends = (taps) => [Math.min(...taps.map(([first]) => first)), Math.max(...taps.map(([, last]) => last))];
+    return {
+      x: ends(planes.map(({ x, width }) => [x, x + width - 1])),
+      y: ends(planes.map(({ y, height }) => [y, y + height - 1])),
+      t: ends(kernel.slices.map(({ dt }) => [dt, dt])),
+    };
+  }
+
+  /**
+   * What of an animation counts in its mean. A part of a tile does not go on at its ends as the
+   * tile does, so of a part only those columns, rows and frames count whose taps all lie in one
+   * copy of it. Along an axis that is too short for that, all count: its ends wrap.
+   *
+   * @param {Shape} shape of the animation, over which the tile may repeat
+   * @param {Shape & {whole: boolean}} tileShape
+   * @returns {{columns: number[], rows: number[], frames: Set<number>, wraps: boolean}}
+   */
+  function counted(shape, tileShape, kernel) {
+    const { x, y, t } = reach(kernel);
+    let wraps = false;
+    const along = (length, period, [first, last]) => {
+      const all = Array.from({ length }, (_, i) => i);
+      if (tileShape.whole) return all;
+      const copy = (i) => (i < length ? Math.floor(i / period) : NaN);
+      const inside = all.filter((i) => i + first >= 0 && copy(i + first) === copy(i + last));
+      wraps ||= inside.length === 0;
+      return inside.length > 0 ? inside : all;
+    };
+    const columns = along(shape.width, tileShape.width, x);
+    const rows = along(shape.height, tileShape.height, y);
+    const frames = new Set(along(shape.frames, tileShape.frames, t));
+    return { columns, rows, frames, wraps };
+  }
+
+  /** The sum of `term(i)` over those pixels i of a frame that count. */
+  function sumOf({ columns, rows }, width, term) {
     let sum = 0;
-    for (let i = 0; i < values.length; i += 1) sum += values[i] * values[i];
+    for (const y of rows) for (const x of columns) sum += term(y * width + x);
     return sum;
   }
 
   /**
    * The ratio to white noise: its expected squared error after the kernel is Var f · Σg²/spp.
    *
-   * @param {number} meanSquare mean over all pixels and frames of (g*e)²
-   * @param {number} variance of the integrand (for the soft shadow, its mean over the pixels)
+   * @param {number} meanSquare mean over the pixels and frames that count of (g*e)²
+   * @param {number} variance of the integrand (for the soft shadow, its mean over the same pixels)
    */
   function ratio(meanSquare, variance, kernel, spp) {
     return meanSquare / ((variance * (kernel ? kernel.power : 1)) / spp);
   }
 
-  Object.assign(perceptile, { modulo, filter, squares, ratio });
+  Object.assign(perceptile, { modulo, filter, counted, sumOf, ratio });
 })((globalThis.perceptileViewer ??= {}));

@@ -100,7 +100,7 @@
     clear() {
       this.setRatio(NaN);
       this.words.textContent = '';
-      this.explain('');
+      this.explain('', false);
       this.canvas.hidden = true;
       this.canvas.width = 1;
       this.canvas.height = 1;
@@ -121,11 +121,14 @@
       this.bar.firstChild.style.transform = `scaleX(${Math.min(Number.isFinite(ratio) ? ratio : 0, 1)})`;
     }
 
-    /** @param {string} failure why there is no picture, or nothing */
-    explain(failure) {
+    /**
+     * @param {string} failure why there is no picture, or nothing
+     * @param {boolean} wraps whether the figure takes the ends of a part for those of the tile
+     */
+    explain(failure, wraps) {
       const { width, height, frames, spp, whole } = this.tiles[this.tile];
       const samples = spp > 1 ? `, ${spp} samples` : '';
-      const size = `${width} × ${height} × ${frames}${samples}${whole ? '' : ', part of the tile'}`;
+      const size = `${width} × ${height} × ${frames}${samples}${whole ? '' : ', part of the tile'}${wraps ? ', ends wrap' : ''}`;
       this.note.textContent = failure ? `No picture: ${failure}` : size;
       this.note.classList.toggle('pv-failure', failure !== '');
     }

@@ -170,7 +170,8 @@
         element(
           'p',
           {},
-          'The number below a picture is its mean squared error over the whole period, as a part of what white noise has on average.',
+          'The number below a picture is its mean squared error over the whole period, as a part of what white noise has on average. ' +
+            'Of a part of a tile, pixels and frames count only if the kernel stays inside the part; “ends wrap” says that none would be left.',
         ),
         close,
       );
@@ -493,7 +494,7 @@
 
     /** The job of a tile's animation as a view, or of the exact soft shadow. */
     job(kind, tile, view) {
-      const { width, height, frames, spp, dims } = this.tiles[tile];
+      const { width, height, frames, spp, dims, whole } = this.tiles[tile];
       const shape = this.shapeOf(tile);
       const description = { kind: this.kind, ...this.values[this.kind] };
       const subject = kind === 'truth' ? ['truth', dims] : [tile, view];
@@ -501,7 +502,7 @@
         key: JSON.stringify([subject, description, shape]),
         kind,
         tile,
-        tileShape: { width, height, frames, spp, dims },
+        tileShape: { width, height, frames, spp, dims, whole },
         shape,
         integrand: description,
         kernel: kind === 'truth' ? null : this.views[view].kernel,
@@ -633,8 +634,9 @@
         const slot = slots[number];
         if (slot?.tile !== pane.tile) return;
         const failure = this.failureOf(slot);
-        pane.say(failure ? NaN : this.resultOf(slot.field).ratio, words);
-        pane.explain(failure);
+        const { ratio, wraps } = failure ? { ratio: NaN, wraps: false } : this.resultOf(slot.field);
+        pane.say(ratio, words);
+        pane.explain(failure, wraps);
       });
     }
 

@@ -6,7 +6,7 @@
 (function (perceptile) {
   'use strict';
 
-  const { integrand, Shadow, filter, squares, ratio } = perceptile;
+  const { integrand, Shadow, filter, counted, sumOf, ratio } = perceptile;
 
   /**
    * A job makes one animation. Its `key` names the result.
@@ -15,7 +15,8 @@
    * @property {string} key
    * @property {'error' | 'truth'} kind the filtered error of a tile, or the exact soft shadow
    * @property {number} [tile] number of the tile (kind error)
-   * @property {{width: number, height: number, frames: number, spp: number, dims: number}} tileShape
+   * @property {{width: number, height: number, frames: number, spp: number, dims: number,
+   *   whole: boolean}} tileShape
    * @property {{width: number, height: number, frames: number}} shape of the animation
    * @property {object} integrand a description, see integrands.js
    * @property {object | null} kernel
@@ -102,24 +103,18 @@
     }
   }
 
-  /** The exact soft shadow, into `truth`; returns the mean over its pixels of p(1 − p). */
+  /** The exact soft shadow, into `truth`. */
   function* shadowTruth(description, shape, flat, truth) {
     const shadow = new Shadow(description, shape, flat);
-    let variance = 0;
     let i = 0;
     for (let t = 0; t < shape.frames; t += 1) {
       const [startX, startY] = shadow.start(t);
       for (let y = 0; y < shape.height; y += 1) {
         const cy = startY - y * shadow.step;
-        for (let x = 0; x < shape.width; x += 1, i += 1) {
-          const free = shadow.free(startX - x * shadow.step, cy);
-          truth[i] = free;
-          variance += free * (1 - free);
-        }
+        for (let x = 0; x < shape.width; x += 1, i += 1) truth[i] = shadow.free(startX - x * shadow.step, cy);
       }
       yield (t + 1) / shape.frames;
     }
-    return variance / truth.length;
   }
 
   /** Runs a generator as the part of a job between two shares; returns what it returns. */
@@ -138,7 +133,7 @@
       this.tiles = new Map();
       /** The last errors of each tile, and the last exact shadow. */
       this.errors = new Map();
-      this.truth = { key: '', values: new Float32Array(0), variance: 0 };
+      this.truth = { key: '', values: new Float32Array(0) };
     }
 
     *addTile(number, text) {
@@ -160,10 +155,10 @@
       const key = JSON.stringify([description, shape, isFlat(job)]);
       if (this.truth.key !== key) {
         const values = new Float32Array(shape.width * shape.height * shape.frames);
-        const variance = yield* shadowTruth(description, shape, isFlat(job), values);
-        this.truth = { key, values, variance };
+        yield* shadowTruth(description, shape, isFlat(job), values);
+        this.truth = { key, values };
       }
-      return this.truth;
+      return this.truth.values;
     }
 
     *errorsOf(job) {
@@ -174,16 +169,14 @@
       this.errors.delete(job.tile);
       const { width, height, frames } = job.shape;
       const values = new Float32Array(width * height * frames);
-      let variance;
+      let truth = null;
       if (job.integrand.kind === 'shadow') {
-        const truth = yield* part(this.truthOf(job), 0, 0.5);
-        yield* part(shadowErrors(numbers, job, truth.values, values), 0.5, 1);
-        variance = truth.variance;
+        truth = yield* part(this.truthOf(job), 0, 0.5);
+        yield* part(shadowErrors(numbers, job, truth, values), 0.5, 1);
       } else {
         yield* plainErrors(numbers, job, values);
-        variance = integrand(job.integrand, isFlat(job)).variance;
       }
-      const made = { key, values, variance };
+      const made = { key, values, truth };
       this.errors.set(job.tile, made);
       return made;
     }
@@ -194,24 +187,32 @@
      */
     *work(job, emit) {
       if (job.kind === 'truth') {
-        const { values } = yield* part(this.truthOf(job), 0, 0.9);
+        const values = yield* part(this.truthOf(job), 0, 0.9);
         yield* part(
           filter(values, job.shape, null, (t, frame) => emit({ type: 'frame', key: job.key, t, values: frame })),
           0.9,
           1,
         );
-        emit({ type: 'done', key: job.key, ratio: NaN });
+        emit({ type: 'done', key: job.key, ratio: NaN, wraps: false });
         return;
       }
-      const { values, variance } = yield* part(this.errorsOf(job), 0, 0.4);
-      let sum = 0;
+      const { values, truth } = yield* part(this.errorsOf(job), 0, 0.4);
+      const { width, height } = job.shape;
+      const inner = counted(job.shape, job.tileShape, job.kernel);
+      const pixels = inner.columns.length * inner.rows.length * inner.frames.size;
+      let [square, noise] = [0, 0];
       const send = (t, frame) => {
-        sum += squares(frame);
+        if (inner.frames.has(t)) {
+          square += sumOf(inner, width, (i) => frame[i] * frame[i]) / pixels;
+          const start = t * width * height;
+          if (truth) noise += sumOf(inner, width, (i) => truth[start + i] * (1 - truth[start + i])) / pixels;
+        }
         emit({ type: 'frame', key: job.key, t, values: frame });
       };
       yield* part(filter(values, job.shape, job.kernel, send), 0.4, 1);
-      const score = ratio(sum / values.length, variance, job.kernel, job.tileShape.spp);
-      emit({ type: 'done', key: job.key, ratio: score });
+      const variance = truth ? noise : integrand(job.integrand, isFlat(job)).variance;
+      const score = ratio(square, variance, job.kernel, job.tileShape.spp);
+      emit({ type: 'done', key: job.key, ratio: score, wraps: inner.wraps });
     }
   }
 
@@ -312,12 +313,13 @@
    * @property {number} share of the work that is done
    * @property {boolean} done
    * @property {number} ratio to white noise, when done
+   * @property {boolean} wraps whether a part's ends had to count in the ratio
    * @property {string} failure empty, or why there will be no result
    */
 
   /** @returns {Result} */
   function emptyResult(job) {
-    return { frames: new Array(job.shape.frames), arrived: 0, share: 0, done: false, ratio: NaN, failure: '' };
+    return { frames: new Array(job.shape.frames), arrived: 0, share: 0, done: false, ratio: NaN, wraps: false, failure: '' };
   }
 
   /** The page's side: asks for results and keeps them. */
@@ -412,7 +414,7 @@
       }
     }
 
-    receive({ type, key, t, values, share, ratio: score, message }) {
+    receive({ type, key, t, values, share, ratio: score, wraps, message }) {
       const result = this.results.get(key);
       if (!result) return;
       if (type === 'frame') {
@@ -424,7 +426,7 @@
         result.failure = message;
       } else if (result.arrived === result.frames.length) {
         // Otherwise it is the end of a job that was dropped and is wanted again: all comes anew.
-        Object.assign(result, { share: 1, done: true, ratio: score });
+        Object.assign(result, { share: 1, done: true, ratio: score, wraps });
       }
       if (type !== 'frame') this.changed();
     }
