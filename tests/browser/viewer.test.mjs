@@ -710,6 +710,7 @@ test('short keys work inside the viewer and nowhere else', async () => {
   const help = page.getByRole('dialog', { name: 'Keys' });
   await page.keyboard.press('?');
   assert.ok(await help.isVisible());
+  assert.match(await help.textContent(), /more than two numbers, the first two are used/);
   await page.keyboard.press('Escape');
   assert.ok(!(await help.isVisible()));
   await page.getByRole('button', { name: 'Keys ?' }).click();

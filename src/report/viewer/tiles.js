@@ -173,6 +173,7 @@
           'The number below a picture is its mean squared error over the whole period, as a part of what white noise has on average. ' +
             'Of a part of a tile, pixels and frames count only if the kernel stays inside the part; “ends wrap” says that none would be left.',
         ),
+        element('p', {}, 'Of samples with more than two numbers, the first two are used.'),
         close,
       );
       close.popoverTargetElement = panel;
