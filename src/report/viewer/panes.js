@@ -91,7 +91,6 @@
       this.picker.set(String(number));
       this.picker.label.textContent = label;
       const { name } = this.tiles[number];
-      this.canvas.setAttribute('aria-label', name);
       this.frame.setAttribute('aria-label', `Picture of ${name}: arrow keys move it`);
       this.remove.setAttribute('aria-label', `Remove the picture of ${name}`);
     }
@@ -101,6 +100,7 @@
       this.setRatio(NaN);
       this.words.textContent = '';
       this.explain('', false);
+      this.canvas.setAttribute('aria-label', this.tiles[this.tile].name);
       this.canvas.hidden = true;
       this.canvas.width = 1;
       this.canvas.height = 1;
