@@ -104,7 +104,6 @@ def animation(setup, name):
         "spatial",
         "gaussian",
         "taa",
-        "full",
         "perception",
         "perception-taa",
         "small",

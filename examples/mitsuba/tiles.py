@@ -43,10 +43,12 @@ TILES = {
     ),
     "gaussian": (
         "Perceptile, Gaussian",
-        f"--kernel 'gaussian({SIGMA}) * gaussian_t({SIGMA}) @ 7x7x8'",
+        f"--kernel '{mixture(f'gaussian({SIGMA}) * gaussian_t({SIGMA}) @ 7x7x8', 'box(8)')}'",
     ),
-    "taa": ("Perceptile, TAA", f"--kernel 'gaussian({SIGMA}) * ema(0.2) @ 7x7x15'"),
-    "full": ("Perceptile, perception × TAA alone", f"--kernel '{taa(SIGMA)}'"),
+    "taa": (
+        "Perceptile, TAA",
+        f"--kernel '{mixture(f'gaussian({SIGMA}) * ema(0.2) @ 7x7x15', 'box(8)')}'",
+    ),
     "small": ("Perceptile, 64×64×16", ""),
     "small-taa": (
         "Perceptile, 64×64×16 for TAA",
