@@ -56,10 +56,10 @@ TILES = {
     ),
     "tiny": ("Perceptile, 32×32×10", "--tile 32x32x10"),
     "spatial-spp4": ("Salaün et al. 2022", "--preset salaun --spp 4 --steps 3000 --polish 150"),
-    "spp4": ("Perceptile, perception", "--spp 4 --steps 3000"),
+    "spp4": ("Perceptile, perception", "--spp 4 --steps 3000 --polish 150"),
     "spp4-taa": (
         "Perceptile, perception × TAA",
-        f"--spp 4 --steps 3000 --kernel '{mixture(taa(SIGMA), 'box(8)')}'",
+        f"--spp 4 --steps 3000 --polish 150 --kernel '{mixture(taa(SIGMA), 'box(8)')}'",
     ),
     "dims8": ("Perceptile, eight dimensions", "--dims 8 --steps 3000"),
 }
