@@ -13,7 +13,7 @@ use std::process::{Command, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-use rustix::process::{Pid, Signal, kill_process};
+use rustix::process::{Pid, Signal, WaitOptions, kill_process, waitpid};
 
 use super::message::{Channel, Message, frame, greeting};
 use super::*;
@@ -120,6 +120,13 @@ fn signal(pid: u32, signal: Signal) {
     kill_process(Pid::from_raw(pid as i32).unwrap(), signal).unwrap();
 }
 
+/// Stops a child, and returns when it stands still: until then it may go on for a while.
+fn stop(pid: u32) {
+    signal(pid, Signal::STOP);
+    let (_, status) = waitpid(Pid::from_raw(pid as i32), WaitOptions::UNTRACED).unwrap().unwrap();
+    assert!(status.stopped());
+}
+
 fn pid(workers: &Workers, rank: usize) -> u32 {
     workers.pids()[rank].unwrap()
 }
@@ -212,7 +219,7 @@ fn a_stopped_worker_is_silent() {
         Workers::start(Launch { silence, ..launch("worker", 2, "", &region) }).unwrap();
     assert!(workers.check(beats(&region)).is_empty());
     let stopped = pid(&workers, 0);
-    signal(stopped, Signal::STOP);
+    stop(stopped);
     // A coordinator that did not look has no right to complain.
     sleep(2 * silence);
     assert!(workers.check(beats(&region)).is_empty());
@@ -247,7 +254,7 @@ fn nothing_is_left_of_dropped_workers() {
     let region = region();
     let workers = start(3, "", &region);
     let pids = workers.pids();
-    signal(pids[2].unwrap(), Signal::STOP);
+    stop(pids[2].unwrap());
     drop(workers);
     assert!(pids.into_iter().all(|pid| !exists(pid.unwrap())));
 }
@@ -257,7 +264,7 @@ fn who_does_not_report_in_time_is_ended() {
     let region = region();
     let workers = start(2, "", &region);
     let pids = workers.pids();
-    signal(pids[0].unwrap(), Signal::STOP);
+    stop(pids[0].unwrap());
     region.write_all_at(&[1], OVER).unwrap();
     assert_eq!(workers.finish(Duration::from_secs(5)), [None, Some(vec![1; 3])]);
     assert!(pids.into_iter().all(|pid| !exists(pid.unwrap())));
@@ -364,7 +371,7 @@ fn workers_run_where_they_are_placed() {
 #[ignore = "run by other tests"]
 fn coordinator() {
     let workers = start(2, "", &region());
-    signal(pid(&workers, 1), Signal::STOP);
+    stop(pid(&workers, 1));
     println!("<{} {}>", pid(&workers, 0), pid(&workers, 1));
     sleep(Duration::from_secs(10));
 }
