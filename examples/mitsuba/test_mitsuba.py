@@ -109,13 +109,16 @@ class Sampler(unittest.TestCase):
         ]
         self.assertLess(min(distances), 1e-6)
 
-    def test_bytes_are_anywhere_in_their_levels(self):
-        path = str(Path(self.folder.name) / "bytes.npy")
-        np.save(path, np.full((1, 4, 4, 2), 255, np.uint8))
-        values = shown({"filename": path}, 0)[:, :, :2] * 256 - 255
-        self.assertTrue(np.all(values >= 0) and np.all(values < 1))
-        self.assertAlmostEqual(values.mean(), 0.5, delta=0.05)
-        self.assertAlmostEqual(values.std(), 12**-0.5, delta=0.05)
+    def test_integers_are_anywhere_in_their_levels(self):
+        path = str(Path(self.folder.name) / "integers.npy")
+        for kind, levels in ((np.uint8, 256), (np.uint16, 65536)):
+            np.save(path, np.full((1, 4, 4, 2), levels - 1, kind))
+            values = shown({"filename": path}, 0, 64, 64)[:, :, :2]
+            self.assertLess(values.max(), 1)
+            within = values * levels - (levels - 1)
+            self.assertGreaterEqual(within.min(), 0)
+            self.assertAlmostEqual(within.mean(), 0.5, delta=0.02)
+            self.assertAlmostEqual(within.std(), 12**-0.5, delta=0.02)
 
     def test_what_is_no_tile_is_an_error(self):
         for wrong in (np.zeros((4, 4)), np.full((1, 2, 2, 2), 1.5), np.full((1, 2, 2, 2), np.nan)):
