@@ -35,10 +35,13 @@ fi
 
 "$out/venv/bin/python" "$here/compare.py" "$out" --program "$perceptile" "$@"
 foreign=()
-for ((i = 1; i < $#; i++)); do
+for ((i = 1; i <= $#; i++)); do
     if [[ ${!i} = --foreign ]]; then
         next=$((i + 1))
         foreign+=("${!next#*=}")
+    elif [[ ${!i} = --foreign=* ]]; then
+        given=${!i#--foreign=}
+        foreign+=("${given#*=}")
     fi
 done
 "$perceptile" report "$out/report" "$out"/tiles/{small,small-taa,perception,spatial}.npy \

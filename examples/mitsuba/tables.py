@@ -12,7 +12,7 @@ import numpy as np
 from experiments import FRAME, FRAMES, WHITE, word
 from measure import interval
 from scenes import SCENES
-from tiles import NARROW, TILES
+from tiles import NARROW, SIGMA, TILES
 
 # Ours for a view, which the paper tailors to the filter.
 OURS = {"plain": "perception", "taa": "perception-taa", "taa_equal": "perception-taa"}
@@ -177,7 +177,7 @@ def animation_tables(results, foreign):
         pairs,
     )
     yield raw_table(
-        "Perceived error, σ = 2.1",
+        f"Perceived error, σ = {SIGMA}",
         f"pRelMSE of {where}, as in the upper half of the paper's Table S2.",
         results,
         {view: [WHITE, *others, OURS[view]] for view in VIEWS},

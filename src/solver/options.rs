@@ -142,7 +142,7 @@ impl Preset {
     /// | polish, 1,000 steps before it | 150 at 0.02: .0059 .112 .095 .026 .103 | none: .0062 .124 .160 .029 .112 |
     /// | polish alone, 200 steps at 0.03 | | .0186 .128 .107 .045 .120 |
     /// | axis weight of the polish, 3,000 steps | 0.2: .0041 .110 .098 .022 .096 | 0.1 (and half the axis share): .0038 .107 .110 .021 .093 |
-    /// | spatial share, the defaults, 256 integrands | none: .0028 .106 .085 .021 .096 | 0.2: .0026 .109 .087 .020 .098, but for waves of 1 to 2 cycles behind the spatial kernel alone .16, not .28 |
+    /// | spatial share, the defaults, set 3 | none: .0028 .106 .085 .021 .096; single frames, behind gaussian(2.1) alone, .022 .220 .211 .117 .210 | 0.2: .0026 .109 .087 .020 .098; single frames .009 .174 .156 .058 .160 |
     /// | column share | 0.1: .0042 .114 .107 .024 .099, residual .10 | 0.05: .0039 .112 .103 .023 .097, residual .16 |
     ///
     /// Warping every so often while optimizing is no better than once at the end. The steps of
