@@ -18,12 +18,25 @@ pub struct AdamOptions {
     pub rate: f64,
     /// Step size at the end; in between it falls along half a cosine.
     pub final_rate: f64,
-    /// Decay of the mean of gradients, in [0, 1).
+    /// Decay of the mean of gradients, in [0, [`MAX_BETA`]].
     pub beta1: f64,
-    /// Decay of the mean of squared gradients, in [0, 1).
+    /// Decay of the mean of squared gradients, in [0, [`MAX_BETA`]].
     pub beta2: f64,
     /// Added to the root of the second moment, in units of the gradient; positive.
     pub epsilon: f64,
+}
+
+/// Largest decay of a moment. Moments are f32, in which a decay is off by up to 3·10⁻⁸: here that is
+/// 3 % of 1 − β, and a little nearer to 1 no moment would ever decay.
+pub const MAX_BETA: f64 = 0.999_999;
+
+/// 1 − β, the weight of a new gradient.
+///
+/// Usual decays count as what they are in f32, so that both weights add up to 1. Near 1 the rounding
+/// of β is too large a part of the difference, and it is formed before.
+fn weight(beta: f64) -> f32 {
+    const USUAL: f64 = 0.99999;
+    if beta <= USUAL { 1.0 - beta as f32 } else { (1.0 - beta) as f32 }
 }
 
 impl AdamOptions {
@@ -41,6 +54,8 @@ impl AdamOptions {
             unit,
             beta1: self.beta1 as f32,
             beta2: self.beta2 as f32,
+            weight1: weight(self.beta1),
+            weight2: weight(self.beta2),
             rate: (self.rate(step, steps) / corrected(self.beta1)) as f32,
             second: (1.0 / corrected(self.beta2)) as f32,
             epsilon: self.epsilon as f32,
@@ -54,6 +69,8 @@ pub struct Factors {
     unit: f32,
     beta1: f32,
     beta2: f32,
+    weight1: f32,
+    weight2: f32,
     rate: f32,
     second: f32,
     epsilon: f32,
@@ -83,10 +100,10 @@ impl Factors {
     /// A coordinate and its moments after the step.
     #[inline(always)]
     fn step<P: Pull>(self, pull: P, x: f32, m: f32, v: f32) -> [f32; 3] {
-        let Self { unit, beta1, beta2, rate, second: correction, epsilon } = self;
+        let Self { unit, beta1, beta2, weight1, weight2, rate, second: correction, epsilon } = self;
         let pull = pull.value() * unit;
-        let m = beta1 * m + (1.0 - beta1) * pull;
-        let v = beta2 * v + (1.0 - beta2) * (pull * pull);
+        let m = beta1 * m + weight1 * pull;
+        let v = beta2 * v + weight2 * (pull * pull);
         let move_by = rate * m / ((v * correction).sqrt() + epsilon);
         [clamp_coordinate(x + move_by), m, v]
     }
@@ -163,28 +180,39 @@ mod tests {
 
     #[test]
     fn moves_equal_the_formulas_of_the_paper_in_f64() {
-        let pulls = [3.0_f32, -0.2, 0.0, 5.0];
-        let (mut x, mut m, mut v) = (vec![0.5_f32; 4], vec![0.0; 4], vec![0.0; 4]);
-        let (mut slow_x, mut slow_m, mut slow_v) = ([0.5_f64; 4], [0.0; 4], [0.0; 4]);
-        for step in 0..5 {
-            Update {
-                factors: OPTIONS.factors(step, 5, 1.0),
-                pulls: &pulls,
-                samples: &mut x,
-                first: &mut m,
-                second: &mut v,
+        for (beta1, beta2) in [(0.9, 0.99), (MAX_BETA, 0.99), (0.5, MAX_BETA)] {
+            let options = AdamOptions { beta1, beta2, ..OPTIONS };
+            let pulls = [3.0_f32, -0.2, 0.0, 5.0];
+            let (mut x, mut m, mut v) = (vec![0.5_f32; 4], vec![0.0; 4], vec![0.0; 4]);
+            let (mut slow_x, mut slow_m, mut slow_v) = ([0.5_f64; 4], [0.0; 4], [0.0; 4]);
+            for step in 0..5 {
+                Update {
+                    factors: options.factors(step, 5, 1.0),
+                    pulls: &pulls,
+                    samples: &mut x,
+                    first: &mut m,
+                    second: &mut v,
+                }
+                .run(Plain);
+                let t = step as i32 + 1;
+                for i in 0..4 {
+                    let g = f64::from(pulls[i]);
+                    slow_m[i] = beta1 * slow_m[i] + (1.0 - beta1) * g;
+                    slow_v[i] = beta2 * slow_v[i] + (1.0 - beta2) * g * g;
+                    let m_hat = slow_m[i] / (1.0 - beta1.powi(t));
+                    let v_hat: f64 = slow_v[i] / (1.0 - beta2.powi(t));
+                    slow_x[i] += options.rate(step, 5) * m_hat / (v_hat.sqrt() + 1e-8);
+                    let error = (f64::from(x[i]) - slow_x[i]).abs();
+                    assert!(error < 1e-5, "{beta1} {beta2}, {i}: {} {}", x[i], slow_x[i]);
+                }
             }
-            .run(Plain);
-            let t = step as i32 + 1;
-            for i in 0..4 {
-                let g = f64::from(pulls[i]);
-                slow_m[i] = 0.9 * slow_m[i] + 0.1 * g;
-                slow_v[i] = 0.99 * slow_v[i] + 0.01 * g * g;
-                let m_hat = slow_m[i] / (1.0 - 0.9_f64.powi(t));
-                let v_hat: f64 = slow_v[i] / (1.0 - 0.99_f64.powi(t));
-                slow_x[i] += OPTIONS.rate(step, 5) * m_hat / (v_hat.sqrt() + 1e-8);
-                assert!((f64::from(x[i]) - slow_x[i]).abs() < 1e-5, "{i}: {} {}", x[i], slow_x[i]);
-            }
+        }
+    }
+
+    #[test]
+    fn weights_of_usual_decays_are_what_they_were() {
+        for beta in (0..1000).map(|i| f64::from(i) / 1000.0).chain([0.9995, 0.9999, 0.99999]) {
+            assert_eq!(weight(beta).to_bits(), (1.0 - beta as f32).to_bits(), "{beta}");
         }
     }
 

@@ -5,7 +5,7 @@ use thiserror::Error;
 
 use crate::draw::DrawOptions;
 use crate::kernel::{Kernel, KernelError, KernelSpec};
-use crate::solver::adam::AdamOptions;
+use crate::solver::adam::{AdamOptions, MAX_BETA};
 use crate::solver::polish::PolishOptions;
 use crate::solver::warp::WarpOptions;
 use crate::tile::{TileShape, TooManyRanks};
@@ -220,7 +220,7 @@ impl Options {
     pub fn validate(&self) -> Result<(), OptionsError> {
         let share = "in [0, 1]";
         let positive = "positive and at most 1";
-        let decay = "in [0, 1)";
+        let decay = "in [0, 0.999999]";
         let DrawOptions { draws, directions, threshold_range, axis_share, pair_share } = self.draw;
         check("draws", draws as f64, "in 1..=2^30", |x| (1.0..=f64::from(1 << 30)).contains(&x))?;
         check("directions", directions as f64, "in 1..=16", |x| (1.0..=16.0).contains(&x))?;
@@ -232,8 +232,8 @@ impl Options {
         for adam in [&self.adam, &self.polish.adam] {
             check("rate", adam.rate, positive, |x| x > 0.0 && x <= 1.0)?;
             check("final-rate", adam.final_rate, share, |x| (0.0..=1.0).contains(&x))?;
-            check("beta1", adam.beta1, decay, |x| (0.0..1.0).contains(&x))?;
-            check("beta2", adam.beta2, decay, |x| (0.0..1.0).contains(&x))?;
+            check("beta1", adam.beta1, decay, |x| (0.0..=MAX_BETA).contains(&x))?;
+            check("beta2", adam.beta2, decay, |x| (0.0..=MAX_BETA).contains(&x))?;
             check("epsilon", adam.epsilon, "in 1e-20..=1", |x| (1e-20..=1.0).contains(&x))?;
         }
         for (name, value) in [
@@ -281,7 +281,9 @@ mod tests {
         };
         assert_eq!(with(|o| o.draw.draws = 0), "draws is 0, but it must be in 1..=2^30");
         assert!(with(|o| o.adam.rate = f64::NAN).contains("rate is NaN"));
-        assert!(with(|o| o.adam.beta2 = 1.0).contains("beta2 is 1"));
+        let decay = "beta2 is 0.99999999, but it must be in [0, 0.999999]";
+        assert_eq!(with(|o| o.adam.beta2 = 0.999_999_99), decay);
+        assert!(with(|o| o.polish.adam.beta1 = 1.0).contains("beta1 is 1"));
         assert!(with(|o| o.draw.axis_share = 0.8).contains("axis-share + pair-share is 1.1"));
     }
 }

@@ -200,6 +200,7 @@ fn wrong_arguments_are_refused() {
         (&["--rate", "nan"], &["rate is NaN"]),
         (&["--rate", "0"], &["rate is 0"]),
         (&["--beta1", "1"], &["beta1 is 1"]),
+        (&["--beta2", "0.99999999"], &["beta2 is 0.99999999", "in [0, 0.999999]"]),
         (&["--axis-share", "0.8", "--pair-share", "0.3"], &["1.1", "at most 1"]),
         (&["--warp-rate", "inf"], &["warp-rate is inf"]),
         (&["--polish-axis-weight=-1"], &["polish-axis-weight is -1"]),
