@@ -13,8 +13,8 @@ use super::exact::{self, Balls};
 use super::stream::Stream;
 use crate::tile::Tile;
 
-/// Integrands with less variance than this over the cube are drawn again: their ratio would be
-/// that of a function that hardly varies, a half-space that misses all but 0.1 % of the cube.
+/// Integrands with less variance than this over the cube are drawn again, half-spaces that miss
+/// all but 0.1 % of it: they would take time and say next to nothing.
 pub const LEAST_VARIANCE: f64 = 1e-3;
 
 /// What kind of function is integrated.

@@ -1,4 +1,12 @@
 //! One tile, one kernel, one set of integrands: all scores in one pass.
+//!
+//! A score is a ratio of means over the integrands of a class, not a mean of ratios. An edge that
+//! cuts off 1 % of the square has a hundredth of the variance of most others, so a few samples in
+//! a corner would move its own ratio by as much as all others together. Measured on the preset
+//! `quick` (set 0, 128 integrands): the warp raised the mean of ratios of edges by 11 %, 98 % of
+//! it in ten edges that cut off at most 7 %; it raises the ratio of means by 0.3 %. From set to
+//! set of 256 integrands the default tile's mean of ratios varies by 5.6 % (edge) and 10 % (axis
+//! edge), its ratio of means by 1.8 % and 2.6 %.
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -44,20 +52,23 @@ impl ScoreOptions {
 /// A mean square relative to white noise's, over the integrands of a class: 1 is white noise.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Ratio {
-    /// Mean over the integrands.
+    /// Mean over the integrands, divided by white noise's: Σ mᵢ / Σ wᵢ, where mᵢ is the mean square
+    /// that the tile leaves of integrand i, and wᵢ what white noise leaves of it in expectation.
     pub mean: f64,
-    /// Standard error of that mean: the standard deviation over the integrands / √count. It says
-    /// how much the score would move on another set; tiles on one set move together.
+    /// Standard error of that ratio r by the delta method: √(n/(n − 1) · Σ (mᵢ − r·wᵢ)²) / Σ wᵢ for
+    /// n integrands, 0 for one. It says how much the score would move on another set; tiles on one
+    /// set move together.
     pub standard_error: f64,
 }
 
 impl Ratio {
-    /// Over the ratios of single integrands.
-    fn over<T>(items: &[T], ratio: impl Fn(&T) -> f64) -> Self {
+    /// Over single integrands: what a tile leaves of each, and what white noise does.
+    fn over<T>(items: &[T], tile: impl Fn(&T) -> f64, white: impl Fn(&T) -> f64) -> Self {
         let n = items.len() as f64;
-        let mean = items.iter().map(&ratio).sum::<f64>() / n;
-        let square: f64 = items.iter().map(|item| (ratio(item) - mean).powi(2)).sum();
-        Self { mean, standard_error: (square / (n - 1.0).max(1.0) / n).sqrt() }
+        let total = items.iter().map(&white).sum::<f64>();
+        let mean = items.iter().map(&tile).sum::<f64>() / total;
+        let square: f64 = items.iter().map(|item| (tile(item) - mean * white(item)).powi(2)).sum();
+        Self { mean, standard_error: (square * n / (n - 1.0).max(1.0)).sqrt() / total }
     }
 }
 
@@ -68,18 +79,20 @@ pub struct ClassScore {
     pub class: Class,
     /// Which coordinates its integrands read.
     pub domain: Domain,
-    /// The perceived-error ratio: mean over pixels of (g*e)² / (Var f · Σg² / spp).
+    /// The perceived-error ratio: m = mean over pixels of (g*e)², w = Var f · Σg² / spp.
     pub perceived: Ratio,
-    /// The error of each pixel's mean over half a period (⌊frames/2⌋ frames, from every start),
-    /// relative to as many independent samples. `None` for a tile of one frame.
+    /// The error of each pixel's mean over half a period (n = ⌊frames/2⌋ frames, from every start):
+    /// m = its mean square, w = Var f / (n·spp). `None` for a tile of one frame.
     pub half_period: Option<Ratio>,
     /// The same over the whole period.
     pub whole_period: Ratio,
-    /// The mean over the whole period as the kernel shows it: filtered in space. `None` for a
-    /// kernel that sees no still picture.
+    /// The mean over the whole period as the kernel shows it: filtered in space, with
+    /// w = Var f · Σ over (x, y) of (Σ over t of g)² / (frames·spp). `None` for a kernel that sees
+    /// no still picture.
     pub whole_period_perceived: Option<Ratio>,
-    /// Bias·√N: rms over the integrands of (mean over the tile of e)/σ, times the root of the
-    /// number of samples in the tile. White noise has 1, in expectation.
+    /// Bias·√N: √(Σ b² / Σ Var f) over the integrands, where b is the mean over the tile of e,
+    /// times the root of the number of samples in the tile. Its square has the expectation 1 for
+    /// white noise.
     pub bias: f64,
 }
 
@@ -90,7 +103,7 @@ pub struct Scores {
     pub options: ScoreOptions,
     /// One score per domain and class.
     pub classes: Vec<ClassScore>,
-    /// Bias·√N over all classes together.
+    /// Bias·√N over all classes together: the rms of theirs, so that each counts alike.
     pub bias: f64,
     /// How the whole tile fills the 16×16 cells of each pair of dimensions.
     pub histogram: Histogram,
@@ -121,8 +134,10 @@ pub struct Scorer {
     sets: Vec<IntegrandSet>,
 }
 
-/// What is measured with one integrand: mean squares relative to white noise's.
+/// What is measured with one integrand: mean squares, in units in which white noise has the
+/// integrand's variance.
 struct Measured {
+    variance: f64,
     perceived: f64,
     half_period: f64,
     whole_period: f64,
@@ -163,7 +178,7 @@ impl Scorer {
         let mut classes = Vec::with_capacity(self.sets.len());
         for set in &self.sets {
             let measured = self.measure(tile, &set.integrands, half);
-            let over = |ratio: fn(&Measured) -> f64| Ratio::over(&measured, ratio);
+            let over = |tile: fn(&Measured) -> f64| Ratio::over(&measured, tile, |m| m.variance);
             let bias = over(|m| m.bias).mean;
             biases += bias;
             classes.push(ClassScore {
@@ -196,20 +211,21 @@ impl Scorer {
                 || (vec![0.0_f32; shape.pixels()], self.perceived.workspace()),
                 |(errors, workspace), f| {
                     let bias = f.errors(tile, errors);
-                    let white = f.variance() / shape.spp() as f64;
+                    let spp = shape.spp() as f64;
                     let period = |window: usize| match window {
                         0 => 0.0,
-                        _ => accumulated_mean_square(shape, errors, window) * window as f64 / white,
+                        _ => accumulated_mean_square(shape, errors, window) * window as f64 * spp,
                     };
                     let (half_period, whole_period) = (period(half), period(frames));
                     let squares = self.perceived.mean_squares(errors, workspace);
                     Measured {
-                        perceived: squares.perceived / (white * self.perceived.squares()),
+                        variance: f.variance(),
+                        perceived: squares.perceived * spp / self.perceived.squares(),
                         half_period,
                         whole_period,
-                        whole_period_perceived: squares.accumulated * frames as f64
-                            / (white * self.perceived.still_squares()),
-                        bias: bias * bias / f.variance() * shape.samples() as f64,
+                        whole_period_perceived: squares.accumulated * spp * frames as f64
+                            / self.perceived.still_squares(),
+                        bias: bias * bias * shape.samples() as f64,
                     }
                 },
             )
@@ -244,6 +260,20 @@ mod tests {
         all.extend(score.half_period.map(|r| ("half period", r.mean)));
         all.extend(score.whole_period_perceived.map(|r| ("filtered", r.mean)));
         all
+    }
+
+    #[test]
+    fn ratios_are_of_means_and_what_hardly_varies_hardly_counts() {
+        let over = |pairs: &[(f64, f64)]| Ratio::over(pairs, |p| p.0, |p| p.1);
+        // By hand: 6 / 10, and deviations of -1.4, 0.6 and 0.8 from 0.6 w.
+        let pairs = [(1.0, 4.0), (3.0, 4.0), (2.0, 2.0)];
+        let found = over(&pairs);
+        assert!((found.mean - 0.6).abs() < 1e-15, "{found:?}");
+        assert!((found.standard_error - 0.444_f64.sqrt() / 10.0_f64.sqrt()).abs() < 1e-15);
+        // The mean of the single ratios would go from 0.67 to 5.5.
+        let more = over(&[&pairs[..], &[(0.02, 0.001)]].concat());
+        assert!((more.mean - 0.6).abs() < 0.002, "{more:?}");
+        assert_eq!(over(&[(1.0, 2.0)]), Ratio { mean: 0.5, standard_error: 0.0 });
     }
 
     #[test]

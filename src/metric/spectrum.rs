@@ -1,7 +1,9 @@
 //! Power spectra of the error, in space and in space-time.
 //!
 //! The picture by which noise is judged in the literature: where the error's power is, in XY
-//! slices (a frame) and in XT slices (a row of pixels over time). White noise is 1 everywhere.
+//! slices (a frame) and in XT slices (a row of pixels over time). White noise is 1 everywhere. As in
+//! `scores`, the power is the mean over the integrands divided by white noise's mean, so that what
+//! a kernel lets through of a spectrum is the score.
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -71,8 +73,7 @@ pub fn spectra(tile: &Tile, options: ScoreOptions) -> Result<Vec<ClassSpectra>, 
                     .par_iter()
                     .map(|f| {
                         let (frames, rows) = slices(tile, f);
-                        let white = f.variance() / shape.spp() as f64;
-                        [xy.mean_power(&frames, white), xt.mean_power(&rows, white)]
+                        [xy.mean_power(&frames), xt.mean_power(&rows)]
                     })
                     .collect();
                 // In order, so that the threads cannot change the sum.
@@ -80,8 +81,9 @@ pub fn spectra(tile: &Tile, options: ScoreOptions) -> Result<Vec<ClassSpectra>, 
                     sums[power.1].iter_mut().zip(power.0).for_each(|(sum, p)| *sum += p);
                 }
             }
-            let count = set.integrands.len() as f64;
-            sums.iter_mut().flatten().for_each(|sum| *sum /= count);
+            let variances = set.integrands.iter().map(Integrand::variance).sum::<f64>();
+            let white = variances / shape.spp() as f64;
+            sums.iter_mut().flatten().for_each(|sum| *sum /= white);
             let [space, time] = &sums;
             ClassSpectra {
                 class: set.class,
@@ -124,8 +126,8 @@ impl SliceTransform {
         self.plan.columns() * self.height
     }
 
-    /// |F|² / (pixels · `white`), averaged over the slices, in the order of the transform.
-    fn mean_power(&self, slices: &[f32], white: f64) -> Vec<f64> {
+    /// |F|² / pixels, averaged over the slices, in the order of the transform.
+    fn mean_power(&self, slices: &[f32]) -> Vec<f64> {
         let pixels = self.width * self.height;
         let mut workspace = self.plan.workspace();
         let mut field = vec![0.0; pixels];
@@ -137,7 +139,7 @@ impl SliceTransform {
                 *sum += f64::from(f.norm_sqr());
             }
         }
-        let factor = 1.0 / (slices.len() as f64 * white);
+        let factor = 1.0 / slices.len() as f64;
         sums.iter_mut().for_each(|sum| *sum *= factor);
         sums
     }
@@ -208,17 +210,17 @@ mod tests {
                     (TAU * (2.0 * x / width as f64 + y / height as f64)).cos() as f32
                 })
                 .collect();
-            // Relative to its variance of ½, the power of all frequencies is their number.
-            let found = transform.spectrum(&transform.mean_power(&wave, 0.5));
+            // Its variance is ½: the power of all frequencies is half their number.
+            let found = transform.spectrum(&transform.mean_power(&wave));
             let (cx, cy) = (width / 2, height / 2);
             for (i, &power) in found.power.iter().enumerate() {
                 let place = ((i % width).wrapping_sub(cx), (i / width).wrapping_sub(cy));
                 let peak = place == (2, 1) || place == (0_usize.wrapping_sub(2), usize::MAX);
-                let expected = if peak { (width * height) as f32 / 2.0 } else { 0.0 };
+                let expected = if peak { (width * height) as f32 / 4.0 } else { 0.0 };
                 assert!((power - expected).abs() < 1e-4, "{place:?}: {power}");
             }
             let total: f32 = found.power.iter().sum();
-            assert!((total - (width * height) as f32).abs() < 1e-3);
+            assert!((total - (width * height) as f32 / 2.0).abs() < 1e-3);
         }
     }
 

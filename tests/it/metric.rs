@@ -2,7 +2,7 @@
 
 use glam::IVec3;
 use perceptile::kernel::{KernelTaps, Tap};
-use perceptile::metric::{Baseline, Class, Domain, ScoreOptions, Scorer, Scores};
+use perceptile::metric::{Baseline, Class, Domain, ScoreOptions, Scorer, Scores, spectra};
 use perceptile::tile::{Tile, TileShape};
 use proptest::prelude::*;
 
@@ -109,6 +109,71 @@ fn stratified_pixels_score_one_over_their_number_squared() {
         // A pixel's frames continue its sequence: over all of them, 1/(8·spp)², of 1024 pixels.
         let found = scores.class(Class::Linear, Domain::All).unwrap().whole_period.mean;
         assert!((found / expected * 64.0 - 1.0).abs() < 0.2, "{spp}: {found}");
+    }
+}
+
+/// One pixel, whose only sample of one dimension is at x.
+fn one_sample(x: f32) -> (Tile, KernelTaps) {
+    let shape = TileShape::new(1, 1, 1, 1, 1).unwrap();
+    let tap = Tap { offset: IVec3::ZERO, weight: 1.0 };
+    (Tile::new(shape, vec![x]).unwrap(), KernelTaps::new([tap]).unwrap())
+}
+
+#[test]
+fn edges_next_to_the_border_weigh_as_little_as_they_vary() {
+    // An edge at p, uniform in (0, 1), has the variance p(1 − p), 1/6 in the mean, and one sample at
+    // x errs by p or 1 − p, with the mean square (x³ + (1 − x)³)/3. The mean of the single ratios
+    // has no limit at x = 0, where it is that of (1 − p)/p: nearly 6 for edges that vary by 0.001.
+    for (x, expected) in [(0.0, 2.0), (0.25, 0.875), (0.5, 0.5)] {
+        let (tile, kernel) = one_sample(x);
+        let options = ScoreOptions { set: 3, integrands: 16_384 };
+        let scores = Scores::of(&tile, &kernel, options).unwrap();
+        let score = scores.class(Class::AxisEdge, Domain::All).unwrap();
+        for ratio in [score.perceived, score.whole_period] {
+            let error = ratio.standard_error;
+            assert!((ratio.mean - expected).abs() < 3.0 * error, "{x}: {ratio:?}");
+            assert!(error < 0.02 * expected, "{x}: {ratio:?}");
+        }
+        assert!((score.bias * score.bias - expected).abs() < 0.06 * expected, "{x}: {score:?}");
+    }
+    // The deviations (1 − p)(1 − 3p) from twice the variance have the mean square 2/15.
+    let (tile, kernel) = one_sample(0.0);
+    let options = ScoreOptions { set: 3, integrands: 16_384 };
+    let scores = Scores::of(&tile, &kernel, options).unwrap();
+    let found = scores.class(Class::AxisEdge, Domain::All).unwrap().perceived.standard_error;
+    let expected = 6.0 * (2.0_f64 / 15.0 / 16_384.0).sqrt();
+    assert!((found / expected - 1.0).abs() < 0.05, "{found}, expected {expected}");
+}
+
+#[test]
+fn standard_errors_say_how_far_sets_differ() {
+    let (tile, kernel) = one_sample(0.25);
+    let sets = 100;
+    let covered = (0..sets)
+        .filter(|&set| {
+            let options = ScoreOptions { set, integrands: 128 };
+            let scores = Scores::of(&tile, &kernel, options).unwrap();
+            let ratio = scores.class(Class::AxisEdge, Domain::All).unwrap().perceived;
+            (ratio.mean - 0.875).abs() < 1.96 * ratio.standard_error
+        })
+        .count();
+    // 95 in expectation.
+    assert!((88..=99).contains(&covered), "{covered} of {sets}");
+}
+
+#[test]
+fn a_kernel_of_one_pixel_sees_all_power_of_a_spectrum() {
+    let shape = TileShape::new(16, 12, 4, 2, 2).unwrap();
+    let tile = Baseline::Sobol.tile(shape, 6);
+    let kernel = KernelTaps::new([Tap { offset: IVec3::ZERO, weight: 1.0 }]).unwrap();
+    let options = ScoreOptions { set: 4, integrands: 24 };
+    let scores = Scores::of(&tile, &kernel, options).unwrap();
+    for class in spectra(&tile, options).unwrap() {
+        let expected = scores.class(class.class, class.domain).unwrap().perceived.mean;
+        for power in [class.xy.power, class.xt.power] {
+            let mean = power.iter().map(|&p| f64::from(p)).sum::<f64>() / power.len() as f64;
+            assert!((mean / expected - 1.0).abs() < 1e-5, "{}: {mean} {expected}", class.class);
+        }
     }
 }
 
