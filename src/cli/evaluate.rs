@@ -17,9 +17,9 @@ use super::source::SourceArgs;
 
 /// Score tiles: perceived error, uniformity, accumulation, quantization.
 ///
-/// All scores are relative to white noise, which has 1, and lower is better. They are means over
-/// random integrands; compare tiles only on the same set, and judge them on sets that nothing was
-/// tuned on. Under each tile, the line "÷ NAME" divides its scores by those of the tile that it is
+/// All scores are relative to white noise, which has 1, and lower is better: the mean square error
+/// over random integrands of a class, divided by white noise's. Compare tiles only on the same set,
+/// and judge them on sets that nothing was tuned on. Under each tile, the line "÷ NAME" divides its scores by those of the tile that it is
 /// compared with.
 #[derive(Debug, clap::Args)]
 pub struct EvaluateArgs {

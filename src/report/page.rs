@@ -242,14 +242,15 @@ fn help() -> Markup {
                  a little off. The eye does not see single pixels of single frames: it blends \
                  neighbours in space and in time. The kernel is a model of that. We integrate many \
                  simple functions with the tile's samples, filter the error with the kernel, and \
-                 compare its mean square with what white noise leaves. 1 is white noise, 0.1 is a \
-                 tenth of its error energy: lower is better. The number behind ± is the standard \
-                 error over the functions. Compare tiles only on the same set of functions."
+                 divide its mean square over all functions of a class by white noise's. 1 is white \
+                 noise, 0.1 is a tenth of its error energy: lower is better. Functions that hardly \
+                 vary hardly count. The number behind ± is the standard error over the functions. \
+                 Compare tiles only on the same set of functions."
             }
             h3 { "Bias, histogram, residual" }
             p {
                 "Bias is the error that stays when the whole tile is averaged, relative to as many \
-                 independent samples. The histogram says how evenly the samples fill the square: 1 \
+                 independent samples, over all functions in the same way. The histogram says how evenly the samples fill the square: 1 \
                  is an even share in every cell. The residual is what is left in each pixel when all \
                  its frames are averaged. The means of half a period and of a whole period say the \
                  same for the functions."

@@ -25,7 +25,8 @@ pub(super) fn table(report: &Report) -> String {
             "integrands  {} of each class, set {}; ± is the standard error over them",
             report.options.integrands, report.options.set
         ),
-        "scores      relative to white noise, which has 1; lower is better".to_owned(),
+        "scores      mean square over a class, divided by white noise's; lower is better"
+            .to_owned(),
     ];
     let domains = report.tiles.iter().map(|entry| Domain::of(entry.shape.dims()));
     let domains = domains.max_by_key(|domains| domains.len()).unwrap_or(&[]);
