@@ -37,7 +37,7 @@ pub struct WarpOptions {
 
 /// Bins of a histogram of projections. More would make the density smoother still, but follow the
 /// chance of single samples and so disturb their strata (axis edges were 6 % worse with 1,024 bins
-/// than with 128, where the density was less even).
+/// than with 128, where the density was less even; in the mean of ratios, as `metric` scored before).
 const BINS: usize = 256;
 
 /// Coordinates that a thread handles at a time, so that they stay close to it while it moves them
