@@ -15,11 +15,10 @@ mod report;
 mod resume;
 mod settings;
 mod source;
+mod stream;
 
-use std::io::{self, Write};
 use std::process::ExitCode;
 
-use anyhow::Context;
 use clap::{Parser, Subcommand};
 
 use perceptile::format::write::WriteError;
@@ -32,6 +31,8 @@ use perceptile::run::folder::FolderError;
 use perceptile::run::memory::MemoryError;
 use perceptile::run::program::ProgramError;
 use perceptile::solver::OptionsError;
+
+use stream::{print, say};
 
 /// Precompute spatio-temporal sample tiles for Monte Carlo animation rendering.
 ///
@@ -114,17 +115,6 @@ fn work() -> anyhow::Result<()> {
 #[cfg(not(unix))]
 fn work() -> anyhow::Result<()> {
     Err(Misuse("there are no worker processes on this system".into()).into())
-}
-
-/// Writes to the standard output; that its reader went away is no error.
-fn print(text: &str) -> anyhow::Result<()> {
-    let mut out = io::stdout().lock();
-    match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
-        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
-            Err(error).context("cannot write to the standard output")
-        }
-        _ => Ok(()),
-    }
 }
 
 /// Words as one line for a shell.

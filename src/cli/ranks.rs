@@ -14,8 +14,8 @@ use perceptile_cluster::launcher::Launcher;
 use perceptile_cluster::peers::Peers;
 use serde::{Deserialize, Serialize};
 
-use super::Misuse;
 use super::carry::Ready;
+use super::{Misuse, say};
 
 /// A failure that was told already, and the exit code for it.
 #[derive(Debug, thiserror::Error)]
@@ -135,7 +135,7 @@ pub fn tell(error: anyhow::Error) -> Told {
     if let Some(&Told(code)) = error.downcast_ref() {
         return Told(code);
     }
-    eprintln!("error: {error:#}");
+    say(format_args!("error: {error:#}"));
     Told(super::exit_code(&error))
 }
 

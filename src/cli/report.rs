@@ -11,8 +11,8 @@ use perceptile::report::{Report, ReportOptions};
 use perceptile::run::signals::Signals;
 
 use super::candidates::{self, DEFAULT_KERNEL, progress};
-use super::print;
 use super::source::SourceArgs;
+use super::{print, say};
 
 /// Most frames per second of the animations.
 const MAX_FPS: f64 = 1000.0;
@@ -103,7 +103,7 @@ pub fn run(args: ReportArgs) -> Result<ExitCode, anyhow::Error> {
         report.add(entry, &candidate.tile, &taps)?;
         if let Some(code) = signals.received() {
             progress.finish_and_clear();
-            eprintln!("stopped by a signal; there is no report");
+            say("stopped by a signal; there is no report");
             return Ok(ExitCode::from(code as u8));
         }
     }

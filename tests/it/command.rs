@@ -1,6 +1,7 @@
 //! The command as scripts and people meet it: exit codes, messages, files, signals.
 
 use std::fs;
+use std::io::{self, PipeWriter};
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
@@ -489,6 +490,49 @@ fn a_run_goes_on_from_a_tile() {
     assert!(sidecar.command.contains("--start first.npy"), "{}", sidecar.command);
     folder.small(&["--start", "stratified", "--out", "third.npy"]);
     assert_ne!(folder.read("second.npy"), folder.read("third.npy"));
+}
+
+/// Commands that end in every way, with their exit codes.
+const ENDS: [(&[&str], i32); 8] = [
+    (&["kernel", "box(2)", "--json"], 0),
+    (&["optimize", "--dry-run"], 0),
+    (&["--help"], 0),
+    (&["kernel"], 2),
+    (&["kernel", "column"], 2),
+    (&["optimize", "--tile", "0x8x8"], 2),
+    (&["evaluate", "nowhere.npy"], 1),
+    (&["export", "nowhere.npy", "--format", "png8", "--out", "slices"], 1),
+];
+
+#[test]
+fn a_command_ends_as_ever_when_nobody_reads_what_it_writes() {
+    /// A pipe that nobody reads.
+    fn unread() -> PipeWriter {
+        io::pipe().unwrap().1
+    }
+    let folder = Folder::new();
+    for (args, code) in ENDS {
+        let mut command = folder.command(args);
+        let output = command.stderr(unread()).output().unwrap();
+        assert_eq!(output.status.code(), Some(code), "{args:?}, no reader of the errors");
+        let output = command.stderr(Stdio::piped()).stdout(unread()).output().unwrap();
+        let error = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(code), "{args:?}, no reader of the output: {error}");
+        assert_eq!(error.is_empty(), code == 0, "{args:?}, no reader of the output: {error}");
+    }
+}
+
+#[test]
+fn a_command_ends_as_ever_when_its_streams_are_closed() {
+    let folder = Folder::new();
+    for (args, code) in ENDS {
+        for closed in ["2>&-", ">&-", ">&- 2>&-"] {
+            let mut command = Command::new("sh");
+            command.args(["-c", &format!("exec \"$0\" \"$@\" {closed}"), PROGRAM]).args(args);
+            let status = command.current_dir(folder.path()).output().unwrap().status;
+            assert_eq!(status.code(), Some(code), "{args:?} {closed}");
+        }
+    }
 }
 
 #[test]

@@ -8,6 +8,7 @@
 
 use std::ffi::{c_char, c_int, c_void};
 use std::hint;
+use std::io::{self, Write};
 use std::mem::{self, MaybeUninit};
 use std::process;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -172,7 +173,8 @@ impl Library {
             }
         }
         let text = text.get(..len as usize).unwrap_or_default();
-        eprintln!("{name} failed: {}", String::from_utf8_lossy(text));
+        // Not by `eprintln!`: nobody may be there to read it, and that is no reason to panic.
+        let _ = writeln!(io::stderr(), "{name} failed: {}", String::from_utf8_lossy(text));
         self.abort(1);
     }
 }

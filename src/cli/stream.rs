@@ -1,0 +1,30 @@
+//! The lines that the command writes: results to the standard output, messages to the standard
+//! error.
+//!
+//! `println!` and `eprintln!` panic where a pipe has lost its reader, as after `| head -1`. A run
+//! must not end so: whoever went away needs no more lines, but the tile is still wanted.
+
+use std::fmt::Display;
+use std::io::{self, Write};
+
+use anyhow::Context;
+
+/// Writes a result to the standard output; that its reader went away is no error.
+///
+/// # Errors
+/// An output that cannot be written for another reason, such as a full disk.
+pub fn print(text: &str) -> anyhow::Result<()> {
+    let mut out = io::stdout().lock();
+    match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
+        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
+            Err(error).context("cannot write to the standard output")
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Writes a message to the standard error, as one line; nobody can be told that this failed.
+pub fn say(message: impl Display) {
+    // One write, so that lines of several processes do not mix.
+    let _ = io::stderr().write_all(format!("{message}\n").as_bytes());
+}
