@@ -14,11 +14,11 @@ use super::settings::TileSize;
 /// Taps listed per class without `--all`.
 const LISTED: usize = 20;
 
-/// Show the taps of a kernel and what they let through, and draw them
+/// Show the taps of a kernel and what truncation drops, and draw them on request
 ///
 /// Prints, for each class of the kernel, its size, its sums, what truncation dropped and its
-/// largest taps, and writes a picture: the taps frame by frame (newest first), the space-time
-/// slice, and the frequency response over (x, y) and over (x, t).
+/// largest taps. With --out it draws a picture as well: the taps frame by frame (newest first), the
+/// space-time slice, and the frequency response over (x, y) and over (x, t).
 #[derive(Debug, clap::Args)]
 pub struct KernelArgs {
     /// The kernel, such as "gaussian(2.1) * fovvideovdp(60) @ 7x7x8"
@@ -40,11 +40,11 @@ pub struct KernelArgs {
     #[arg(long)]
     pub all: bool,
 
-    /// Print JSON, with every tap; no picture is written unless --out asks for one
+    /// Print JSON, with every tap
     #[arg(long)]
     pub json: bool,
 
-    /// Where the picture goes, a PNG file [default: kernel.png]
+    /// Draw the kernel and its frequency response into this PNG file
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
 
@@ -53,7 +53,7 @@ pub struct KernelArgs {
     pub force: bool,
 }
 
-/// Prints the kernel and writes its picture.
+/// Prints the kernel, and writes its picture if one is asked for.
 ///
 /// # Errors
 /// A kernel that cannot be made or does not fit the tile, and a picture that cannot be written.
@@ -74,8 +74,7 @@ pub fn run(args: KernelArgs) -> Result<(), anyhow::Error> {
         table(&kernel, if args.all { usize::MAX } else { LISTED })
     };
     print(&text)?;
-    let default = (!args.json).then(|| PathBuf::from("kernel.png"));
-    if let Some(path) = args.out.or(default) {
+    if let Some(path) = args.out {
         write_picture(&kernel, &path, Existing::from_force(args.force))?;
         if !args.json {
             print(&format!("\npicture: {}\n", path.display()))?;
