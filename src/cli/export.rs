@@ -25,7 +25,8 @@ pub struct ExportArgs {
     #[arg(long, value_enum)]
     format: ExportFormat,
 
-    /// Folder for the files; it is made if the folder around it exists.
+    /// Folder for the files, and for slices of no other tile; it is made if the folder around it
+    /// exists.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
 
@@ -36,7 +37,7 @@ pub struct ExportArgs {
     #[command(flatten)]
     source: SourceArgs,
 
-    /// Replace files that exist.
+    /// Replace files that exist, and remove slices of earlier exports that are in the folder.
     #[arg(long)]
     force: bool,
 }
@@ -53,7 +54,8 @@ enum ExportFormat {
 /// Reads the tile and writes its files.
 ///
 /// # Errors
-/// A tile that cannot be read, files that exist without `--force` or cannot be written.
+/// A tile that cannot be read, files that exist without `--force` or cannot be written, a folder
+/// with slices of another tile.
 pub fn run(args: ExportArgs) -> Result<()> {
     let source = args.source.at(args.tile);
     let tile = source.read()?;

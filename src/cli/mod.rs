@@ -141,8 +141,10 @@ fn exit_code(error: &anyhow::Error) -> u8 {
             _ => 1,
         };
     }
-    if matches!(error.downcast_ref(), Some(WriteError::Exists { .. }))
-        || matches!(error.downcast_ref(), Some(FolderError::Unfinished { .. }))
+    if matches!(
+        error.downcast_ref(),
+        Some(WriteError::Exists { .. } | WriteError::Beside { .. } | WriteError::Foreign { .. })
+    ) || matches!(error.downcast_ref(), Some(FolderError::Unfinished { .. }))
         || matches!(
             error.downcast_ref(),
             Some(

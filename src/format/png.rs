@@ -18,6 +18,10 @@ pub const SIGNATURE: &[u8; 8] = b"\x89PNG\r\n\x1a\n";
 pub const MAX_PIXELS: u64 = 1 << 26;
 /// Pixels take at most 8 bytes (four channels of 16 bits).
 const MAX_BYTES: usize = 8 * MAX_PIXELS as usize;
+/// Most memory for what a PNG says before its pixels.
+const MAX_HEADERS: usize = 1 << 20;
+/// The format's keyword for the software that made a picture.
+const SOFTWARE: &str = "Software";
 /// No deflate stream is smaller than its content divided by this (1,032, and some for headers).
 const BEST_COMPRESSION: u64 = 1100;
 
@@ -305,8 +309,40 @@ pub fn decode(input: impl BufRead + Seek, bytes: u64) -> Result<Raster, PngError
 /// # Errors
 /// What `out` reports; sizes that are 0, above 2³¹ − 1, or contradict the number of levels.
 pub fn encode(raster: &Raster, out: &mut (impl Write + ?Sized)) -> std::io::Result<()> {
+    encode_with(raster, None, out)
+}
+
+/// Writes a PNG file that names the software that made it, in Latin-1; see [`software`].
+///
+/// # Errors
+/// Those of [`encode`].
+pub fn encode_as(
+    raster: &Raster,
+    software: &str,
+    out: &mut (impl Write + ?Sized),
+) -> std::io::Result<()> {
+    encode_with(raster, Some(software), out)
+}
+
+/// The software that a PNG file says it was made by, before its pixels; `None` if it says none or
+/// cannot be read.
+pub fn software(input: impl BufRead + Seek) -> Option<String> {
+    let limits = codec::Limits { bytes: MAX_HEADERS };
+    let reader = codec::Decoder::new_with_limits(input, limits).read_info().ok()?;
+    let mut texts = reader.info().uncompressed_latin1_text.iter();
+    texts.find(|text| text.keyword == SOFTWARE).map(|text| text.text.clone())
+}
+
+fn encode_with(
+    raster: &Raster,
+    software: Option<&str>,
+    out: &mut (impl Write + ?Sized),
+) -> std::io::Result<()> {
     let size = |size: usize| u32::try_from(size).map_err(std::io::Error::other);
     let mut encoder = codec::Encoder::new(out, size(raster.width)?, size(raster.height)?);
+    if let Some(software) = software {
+        encoder.add_text_chunk(SOFTWARE.into(), software.into())?;
+    }
     encoder.set_color(match raster.layout {
         Layout::Gray => ColorType::Grayscale,
         Layout::GrayAlpha => ColorType::GrayscaleAlpha,

@@ -12,6 +12,7 @@ use thiserror::Error;
 use super::npy::{self, NpyError};
 use super::png::{self, Channel, Channels, Layout, PngError, Raster};
 use super::series::{Series, SeriesError, SeriesLayout};
+use super::slices::is_png;
 use crate::tile::{ShapeError, Tile, TileShape};
 
 /// Most coordinates of a tile made of PNG files, which compress too well for the size of the
@@ -270,10 +271,7 @@ impl TileSource {
         let mut names = Vec::new();
         for entry in fs::read_dir(&self.path).map_err(self.io())? {
             let name = entry.map_err(self.io())?.file_name();
-            let is_png = Path::new(&name)
-                .extension()
-                .is_some_and(|extension| extension.eq_ignore_ascii_case("png"));
-            if is_png {
+            if is_png(Path::new(&name)) {
                 names.push(name.to_string_lossy().into_owned());
             }
         }

@@ -10,7 +10,7 @@ use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
-use tempfile::NamedTempFile;
+use tempfile::{NamedTempFile, TempPath};
 use thiserror::Error;
 
 /// Why an output cannot be written.
@@ -54,6 +54,25 @@ pub enum WriteError {
         /// The path.
         path: PathBuf,
     },
+    /// A picture would stand beside the slices of a tile as if it were one of them.
+    #[error(
+        "{} is no slice of this tile, but a folder of slices is read as one tile: choose another \
+         folder; --force removes slices of earlier exports",
+        path.display()
+    )]
+    Beside {
+        /// The picture.
+        path: PathBuf,
+    },
+    /// The same, and no export has written it, so it is not removed.
+    #[error(
+        "{} is no slice of an export, so --force does not remove it: choose another folder",
+        path.display()
+    )]
+    Foreign {
+        /// The picture.
+        path: PathBuf,
+    },
     /// The system refuses.
     #[error("cannot write {}: {error}", path.display())]
     Io {
@@ -65,7 +84,8 @@ pub enum WriteError {
 }
 
 impl WriteError {
-    fn io(path: &Path) -> impl FnOnce(io::Error) -> Self {
+    /// What the system says about `path`.
+    pub(super) fn io(path: &Path) -> impl FnOnce(io::Error) -> Self {
         move |error| Self::Io { path: path.to_owned(), error }
     }
 }
@@ -123,27 +143,60 @@ pub fn write(
     existing: Existing,
     content: impl FnOnce(&mut dyn Write) -> io::Result<()>,
 ) -> Result<(), WriteError> {
-    let target = Target::new(path, existing)?;
-    let mut file = temporary(&target.folder).map_err(WriteError::io(path))?;
-    let mut buffer = BufWriter::new(file.as_file_mut());
-    content(&mut buffer).and_then(|()| buffer.flush()).map_err(WriteError::io(path))?;
-    drop(buffer);
-    file.as_file().sync_all().map_err(WriteError::io(path))?;
-    match existing {
-        Existing::Keep => file.persist_noclobber(&target.path),
-        Existing::Replace => file.persist(&target.path),
+    Staged::new(path, existing, content)?.finish()
+}
+
+/// A file that is complete and on the disk, but does not have its name yet. Dropped, it is gone.
+///
+/// Of files that belong together, all can be staged before the first takes its name.
+pub struct Staged {
+    path: PathBuf,
+    target: Target,
+    existing: Existing,
+    file: TempPath,
+}
+
+impl Staged {
+    /// A file that is to be `path`; `content` fills it.
+    ///
+    /// # Errors
+    /// As for [`write`].
+    pub fn new(
+        path: &Path,
+        existing: Existing,
+        content: impl FnOnce(&mut dyn Write) -> io::Result<()>,
+    ) -> Result<Self, WriteError> {
+        let target = Target::new(path, existing)?;
+        let mut file = temporary(&target.folder).map_err(WriteError::io(path))?;
+        let mut buffer = BufWriter::new(file.as_file_mut());
+        content(&mut buffer).and_then(|()| buffer.flush()).map_err(WriteError::io(path))?;
+        drop(buffer);
+        file.as_file().sync_all().map_err(WriteError::io(path))?;
+        Ok(Self { path: path.to_owned(), target, existing, file: file.into_temp_path() })
     }
-    .map_err(|failure| match failure.error.kind() {
-        // Someone else took the name while the file was written.
-        io::ErrorKind::AlreadyExists => WriteError::Exists { path: path.to_owned() },
-        _ => WriteError::Io { path: path.to_owned(), error: failure.error },
-    })?;
-    // The file is whole; that its name outlives a power cut is asked for, but not every file
-    // system can promise it.
-    if let Ok(folder) = File::open(&target.folder) {
-        let _ = folder.sync_all();
+
+    /// Gives the file its name.
+    ///
+    /// # Errors
+    /// Somebody else took the name meanwhile and it is to be kept, or the system refuses.
+    pub fn finish(self) -> Result<(), WriteError> {
+        let Self { path, target, existing, file } = self;
+        match existing {
+            Existing::Keep => file.persist_noclobber(&target.path),
+            Existing::Replace => file.persist(&target.path),
+        }
+        .map_err(|failure| match failure.error.kind() {
+            // Someone else took the name while the file was written.
+            io::ErrorKind::AlreadyExists => WriteError::Exists { path: path.clone() },
+            _ => WriteError::Io { path: path.clone(), error: failure.error },
+        })?;
+        // The file is whole; that its name outlives a power cut is asked for, but not every file
+        // system can promise it.
+        if let Ok(folder) = File::open(&target.folder) {
+            let _ = folder.sync_all();
+        }
+        Ok(())
     }
-    Ok(())
 }
 
 /// Makes the folder `path` unless it exists; the folder around it must.

@@ -262,6 +262,13 @@ fn what_exists_is_replaced_only_with_force() {
     folder.fail(&["export", "a.npy", "--format", "png8", "--out", "slices"], 3, &["--force"]);
     assert_eq!(fs::read(&slice).unwrap(), b"precious");
     folder.succeed(&["export", "a.npy", "--format", "png8", "--out", "slices", "--force"]);
+    let other = ["export", "b.npy", "--format", "png8", "--out", "slices"];
+    folder.fail(&other, 3, &["a_f000.png", "choose another folder", "--force"]);
+    folder.write("slices/z.png", b"precious");
+    folder.fail(&[&other[..], &["--force"]].concat(), 3, &["z.png", "choose another folder"]);
+    fs::remove_file(folder.path().join("slices/z.png")).unwrap();
+    folder.succeed(&[&other[..], &["--force"]].concat());
+    assert_eq!(fs::read_dir(folder.path().join("slices")).unwrap().count(), 4);
     folder.write("kernel.png", b"precious");
     let kernel = ["kernel", "box(3)", "--out", "kernel.png"];
     folder.fail(&kernel, 3, &["kernel.png", "--force"]);

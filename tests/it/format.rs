@@ -2,7 +2,7 @@
 
 use std::fs;
 use std::io::Cursor;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use perceptile::format::npy;
 use perceptile::format::picture::preview;
@@ -315,6 +315,85 @@ fn an_export_of_many_samples_and_dimensions_is_read_without_being_told() {
             assert_eq!(read.unwrap().shape().frames(), 2);
         } else {
             assert!(matches!(read, Err(SourceError::Series { .. })));
+        }
+    }
+}
+
+#[test]
+fn slices_of_two_tiles_never_lie_in_one_folder() {
+    let tile = |frames, spp| scattered(shape(4, 3, frames, spp, 2));
+    let slices = SliceOptions { depth: Depth::Eight, strip: false };
+    let strips = SliceOptions { strip: true, ..slices };
+    // What an export finds of an earlier one: other frames, other samples, another name, another
+    // form. And the strips that may stay beside other strips.
+    for (old, new, apart) in [
+        ((tile(5, 1), "t", slices), (tile(3, 1), "t", slices), false),
+        ((tile(3, 1), "t", slices), (tile(5, 2), "t", slices), false),
+        ((tile(3, 4), "t", slices), (tile(3, 2), "t", slices), false),
+        ((tile(3, 1), "u", slices), (tile(3, 1), "t", slices), false),
+        ((tile(3, 1), "t", strips), (tile(3, 1), "t", slices), false),
+        ((tile(3, 1), "u", slices), (tile(3, 1), "t", strips), false),
+        ((tile(3, 3), "t", strips), (tile(3, 2), "t", strips), false),
+        ((tile(3, 1), "t", strips), (tile(3, 2), "t", strips), false),
+        ((tile(3, 2), "u", strips), (tile(3, 2), "t", strips), true),
+    ] {
+        let folder = tempfile::tempdir().unwrap();
+        let write = |(tile, stem, options): &(Tile, &str, SliceOptions), existing| {
+            write_slices(tile, *options, folder.path(), stem, existing)
+        };
+        // Whoever imports pictures keeps notes beside them.
+        fs::write(folder.path().join("t_f000.png.meta"), "theirs").unwrap();
+        let before = write(&old, Existing::Keep).unwrap();
+        let content = || -> Vec<(PathBuf, Vec<u8>)> {
+            let entries = fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().path());
+            let mut files: Vec<_> = entries.map(|it| (it.clone(), fs::read(it).unwrap())).collect();
+            files.sort();
+            files
+        };
+        let first = content();
+        let result = write(&new, Existing::Keep);
+        if !apart {
+            let error = result.unwrap_err();
+            let named = matches!(&error, WriteError::Beside { path } | WriteError::Exists { path }
+                    if before.contains(path));
+            assert!(named && error.to_string().contains("--force"), "{error}");
+            assert_eq!(content(), first);
+        }
+        let after = write(&new, Existing::Replace).unwrap();
+        let notes = vec![folder.path().join("t_f000.png.meta")];
+        let mut expected = [notes, after, if apart { before } else { Vec::new() }].concat();
+        expected.sort();
+        assert!(content().iter().map(|(path, _)| path).eq(&expected), "{expected:?}");
+        if !new.2.strip {
+            let back = TileSource::new(folder.path()).read().unwrap();
+            assert_eq!(bits(&back), bits(&quantized(&new.0, 256.0)));
+        }
+    }
+}
+
+#[test]
+fn an_export_removes_no_picture_of_somebody_else() {
+    let tile = scattered(shape(4, 3, 2, 1, 2));
+    for name in ["photo.png", "t_f002.png", "t_f2.PNG", "link.png"] {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        if name == "link.png" {
+            fs::create_dir(at("away")).unwrap();
+            let options = SliceOptions { depth: Depth::Eight, strip: true };
+            write_slices(&tile, options, &at("away"), "ours", Existing::Keep).unwrap();
+            #[cfg(unix)]
+            std::os::unix::fs::symlink("away/ours.png", at(name)).unwrap();
+            #[cfg(not(unix))]
+            continue;
+        } else {
+            save(&at(name), &gray(4, 3, 0));
+        }
+        let options = SliceOptions { depth: Depth::Eight, strip: false };
+        for existing in [Existing::Keep, Existing::Replace] {
+            let error = write_slices(&tile, options, folder.path(), "t", existing).unwrap_err();
+            assert!(error.to_string().contains(name), "{error}");
+            assert_eq!(matches!(error, WriteError::Foreign { .. }), existing == Existing::Replace);
+            assert!(at(name).exists() && !at("t_f000.png").exists());
         }
     }
 }
