@@ -2,7 +2,7 @@
 
 use super::access::{Arrangement, Behaviour, Order};
 use super::report::{StageRow, size};
-use super::roofline::{Bound, Store};
+use super::roofline::{Bound, Rates, Store};
 use super::subject::Sizes;
 use crate::gradient::probe::Stage;
 
@@ -15,6 +15,8 @@ pub struct Evidence<'a> {
     pub layouts: &'a [Behaviour],
     /// Bytes of what the descent keeps.
     pub sizes: &'a Sizes,
+    /// What the machine can do.
+    pub rates: &'a Rates,
     /// Bytes of L1, L2 and L3.
     pub caches: [u64; 3],
     /// Threads of the run.
@@ -54,7 +56,7 @@ pub fn advice(evidence: &Evidence<'_>) -> Vec<String> {
     let mut sentences = Vec::new();
     let working = evidence.stages.iter().filter(|row| row.stage != Stage::Waiting.name());
     if let Some(row) = working.max_by(|a, b| a.share.total_cmp(&b.share)) {
-        sentences.push(longest(row));
+        sentences.push(longest(row, evidence.rates));
     }
     sentences.extend(misses(evidence));
     sentences.extend(order(evidence));
@@ -65,7 +67,7 @@ pub fn advice(evidence: &Evidence<'_>) -> Vec<String> {
 }
 
 /// The stage that takes most, and how near it is to what the machine can do.
-fn longest(row: &StageRow) -> String {
+fn longest(row: &StageRow, rates: &Rates) -> String {
     let begin = format!("{} takes most, {:.0} % of the time", row.stage, 100.0 * row.share);
     let Some(placement) = row.placement else { return begin + "." };
     let roof = match (placement.bound, row.store) {
@@ -79,6 +81,11 @@ fn longest(row: &StageRow) -> String {
         format!(
             "{begin}, and is faster than {roof} allows for copying ({share:.0} % of it): it comes \
              from a cache, or in streams that suit the memory; only less work helps."
+        )
+    } else if placement.bound == Bound::Memory && !rates.bandwidth(row.store).measured {
+        format!(
+            "{begin}, at {share:.0} % of what {roof} allows at least: others used the machine, so \
+             it could not be measured."
         )
     } else if placement.share >= NEAR {
         format!("{begin}, and is bound by {roof} ({share:.0} % of it): only less work helps.")
@@ -230,7 +237,7 @@ fn waiting(evidence: &Evidence<'_>) -> Option<String> {
 mod tests {
     use super::*;
     use crate::profile::cache::ReuseHistogram;
-    use crate::profile::roofline::Placement;
+    use crate::profile::roofline::{Bandwidth, Placement};
     use crate::profile::traffic::Traffic;
 
     const SIZES: Sizes = Sizes {
@@ -239,6 +246,11 @@ mod tests {
         patches: 5 << 20,
         patch: 1 << 20,
         window: 1 << 17,
+    };
+
+    const RATES: Rates = {
+        let bandwidth = Bandwidth { bytes: 1 << 20, rate: 1e10, measured: true };
+        Rates { threads: 2, l1: bandwidth, l2: bandwidth, memory: bandwidth, compute: 1e10 }
     };
 
     fn stages(shares: [f64; Stage::ALL.len()], of_roof: f64) -> Vec<StageRow> {
@@ -283,8 +295,16 @@ mod tests {
 
     fn say(stages: &[StageRow], layouts: &[Behaviour], sizes: &Sizes) -> String {
         let caches = [32 << 10, 1 << 20, 32 << 20];
-        let evidence =
-            Evidence { stages, layouts, sizes, caches, threads: 2, blocks: 8, draws: 100 };
+        let evidence = Evidence {
+            stages,
+            layouts,
+            sizes,
+            rates: &RATES,
+            caches,
+            threads: 2,
+            blocks: 8,
+            draws: 100,
+        };
         advice(&evidence).join("\n")
     }
 
@@ -301,15 +321,33 @@ mod tests {
     }
 
     #[test]
+    fn nothing_is_bound_by_what_was_not_measured() {
+        let shares = [0.1, 0.1, 0.1, 0.4, 0.1, 0.1, 0.05, 0.05, 0.0];
+        let mut row = stages(shares, 0.7)[3].clone();
+        let mut rates = RATES;
+        rates.l1.measured = false;
+        let compute = longest(&row, &rates);
+        assert!(compute.contains("bound by the rate of operations (70 % of it)"), "{compute}");
+        row.placement = row.placement.map(|it| Placement { bound: Bound::Memory, ..it });
+        let measured = longest(&row, &RATES);
+        assert!(measured.contains("bound by the bandwidth of L1 (70 % of it)"), "{measured}");
+        let unknown = longest(&row, &rates);
+        assert!(
+            unknown.contains("at 70 % of what the bandwidth of L1 allows at least"),
+            "{unknown}"
+        );
+    }
+
+    #[test]
     fn waiting_is_not_work() {
         let text = say(&stages([0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.9], 0.2), &[], &SIZES);
         assert!(text.contains("draws takes most") && text.contains("wait 90 %"), "{text}");
         assert!(!text.contains("blocks"), "{text}");
         let rows = stages([0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.5], 0.2);
         let caches = [1; 3];
-        let (stages, layouts, sizes) = (&rows[..], &[][..], &SIZES);
+        let (stages, layouts, sizes, rates) = (&rows[..], &[][..], &SIZES, &RATES);
         let evidence =
-            Evidence { stages, layouts, sizes, caches, threads: 8, blocks: 3, draws: 100 };
+            Evidence { stages, layouts, sizes, rates, caches, threads: 8, blocks: 3, draws: 100 };
         let text = advice(&evidence).join("\n");
         assert!(text.contains("blocks for 3 of them, but there are 8"), "{text}");
     }

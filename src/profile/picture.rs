@@ -129,7 +129,8 @@ fn roofs(profile: &Profile, area: &DrawingArea<SVGBackend, Shift>) -> Result<(),
         .map_err(erase)?;
     let stores = [("L1", Store::L1, 0), ("L2", Store::L2, 90), ("memory", Store::Memory, 170)];
     for (name, store, grey) in stores {
-        let bandwidth = profile.rates.ceiling(store).bandwidth / 1e9;
+        let rate = profile.rates.bandwidth(store);
+        let bandwidth = rate.rate / 1e9;
         let ridge = (compute / bandwidth).clamp(INTENSITY.0, INTENSITY.1);
         let roof = [INTENSITY.0, ridge, INTENSITY.1]
             .map(|intensity| (intensity, compute.min(intensity * bandwidth)));
@@ -137,7 +138,7 @@ fn roofs(profile: &Profile, area: &DrawingArea<SVGBackend, Shift>) -> Result<(),
         chart
             .draw_series(LineSeries::new(roof, style))
             .map_err(erase)?
-            .label(format!("{name}: {bandwidth:.0} GB/s"))
+            .label(format!("{name}: {}{bandwidth:.0} GB/s", rate.hedge()))
             .legend(move |(x, y)| PathElement::new([(x, y), (x + 14, y)], style));
     }
     let font = ("sans-serif", 14).into_font();

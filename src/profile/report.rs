@@ -184,6 +184,7 @@ impl Profile {
             stages: &stages,
             layouts: &layouts,
             sizes: &sizes,
+            rates: &rates,
             caches: levels.map(|level| level.bytes),
             threads: subject.threads(),
             blocks: subject.blocks().len(),
@@ -279,15 +280,22 @@ impl fmt::Display for Profile {
         )?;
         writeln!(
             f,
-            "rates     copying {:.0} GB/s in L1, {:.0} in L2, {:.1} in memory; {:.0} Gop/s \
+            "rates     copying {}{:.0} GB/s in L1, {}{:.0} in L2, {:.1} in memory; {:.0} Gop/s \
              (threads: {}, {})",
+            rates.l1.hedge(),
             rates.l1.rate / 1e9,
+            rates.l2.hedge(),
             rates.l2.rate / 1e9,
             rates.memory.rate / 1e9,
             rates.compute / 1e9,
             rates.threads,
             self.simd
         )?;
+        if !(rates.l1.measured && rates.l2.measured) {
+            let what = "a cache cannot be measured while others use the machine: it is at least as \
+                        fast as what lies beyond it";
+            writeln!(f, "          ({what})")?;
+        }
         writeln!(
             f,
             "memory    samples {}, moments {}, patches {} (the largest {}); a cell sees {}",

@@ -5,8 +5,10 @@
 //! the time of the bytes at its bandwidth. [`Rates::measure`] finds both rates by doing nothing
 //! else for a moment, [`Ceiling::place`] compares.
 //!
-//! Rates are the best of many short batches, as STREAM reports them (McCalpin 1995): a ceiling
-//! is what can be reached, not what is usual on a busy machine.
+//! Rates are the best of many short windows of time, as STREAM reports the best of several runs
+//! (McCalpin 1995): a ceiling is what can be reached, not what is usual on a busy machine. Each is
+//! measured several times, in turn with the others, so that a busy moment spoils none of them.
+//! Where a cache still seems slower than what lies beyond it, it counts as not measured.
 
 use std::array;
 use std::hint::black_box;
@@ -22,14 +24,24 @@ use super::machine::Machine;
 use crate::gradient::simd::{Isa, Simd, Vectorized};
 use crate::run::memory;
 
-/// How long each rate is measured.
-const DURATION: Duration = Duration::from_millis(300);
-/// Shortest batch that counts: waking the threads, some ten microseconds, is lost in it.
-const BATCH: Duration = Duration::from_millis(3);
+/// How long each rate is measured at a time.
+const DURATION: Duration = Duration::from_millis(100);
+/// Times that all rates are measured at least.
+const FEWEST_ROUNDS: u32 = 3;
+/// Times that they are measured at most, while a cache seems slower than what lies beyond it.
+const MOST_ROUNDS: u32 = 12;
+/// Time over which a rate is the mean, in seconds: much longer than a piece of work, and not longer
+/// than a thread keeps its core on a busy machine.
+const WINDOW: f64 = 3e-3;
+/// Windows begin after such shares of their length.
+const WINDOWS_IN_ONE: f64 = 4.0;
+/// Shortest piece of work between two looks at the clock, which take some ten nanoseconds.
+const PIECE: Duration = Duration::from_micros(20);
 /// Share of the free memory that is used at most.
 const MEMORY_SHARE: u64 = 8;
 /// Most bytes that are used where the system does not tell what is free.
 const MOST_UNTOLD: u64 = 256 << 20;
+
 /// Why there is no roofline.
 #[derive(Debug, Error)]
 pub enum RooflineError {
@@ -69,6 +81,17 @@ pub struct Bandwidth {
     pub bytes: u64,
     /// Bytes read plus bytes written, per second, of all threads.
     pub rate: f64,
+    /// Whether the rate was measured here. If not, copying here took longer than beyond, as no
+    /// cache is slower than what it is a cache of. The rate is then that from beyond: this one is
+    /// at least as high.
+    pub measured: bool,
+}
+
+impl Bandwidth {
+    /// What people read before the rate: nothing if it was measured.
+    pub(super) fn hedge(&self) -> &'static str {
+        if self.measured { "" } else { "at least " }
+    }
 }
 
 /// What a number of threads can do together.
@@ -88,8 +111,8 @@ pub struct Rates {
 }
 
 impl Rates {
-    /// Measures this machine for somewhat more than a second, with `threads` threads (0: one for
-    /// each core) and an instruction set.
+    /// Measures this machine for one to five seconds, with `threads` threads (0: one for each core)
+    /// and an instruction set.
     ///
     /// # Errors
     /// If the threads cannot be started, or the machine makes mistakes.
@@ -104,24 +127,56 @@ impl Rates {
         let far = l3.saturating_mul(threads.saturating_mul(2).max(8) as u64);
         let most = memory::free().map_or(MOST_UNTOLD, |free| free / MEMORY_SHARE);
         let near = |cache: u64| (cache / 2).saturating_mul(threads as u64).min(most);
-        Ok(Self {
-            threads,
-            l1: copy(&pool, near(l1))?,
-            l2: copy(&pool, near(l2))?,
-            memory: copy(&pool, far.min(most))?,
-            compute: compute(&pool, simd)?,
-        })
+        let copies = [near(l1), near(l2), far.min(most)].map(|bytes| Copying::new(&pool, bytes));
+        let mut rates = [0.0; 3];
+        let mut operations = 0.0;
+        for round in 0..MOST_ROUNDS {
+            if round >= FEWEST_ROUNDS && is_falling(rates) {
+                break;
+            }
+            for (rate, copying) in rates.iter_mut().zip(&copies) {
+                *rate = f64::max(*rate, copying.rate(&pool)?);
+            }
+            operations = f64::max(operations, compute(&pool, simd)?);
+        }
+        let [l1, l2, memory] = bandwidths(copies.map(|copying| copying.bytes), rates);
+        Ok(Self { threads, l1, l2, memory, compute: operations })
+    }
+
+    /// The rate of copying there.
+    pub fn bandwidth(&self, store: Store) -> Bandwidth {
+        match store {
+            Store::L1 => self.l1,
+            Store::L2 => self.l2,
+            Store::Memory => self.memory,
+        }
     }
 
     /// The ceiling for work on data that is there.
     pub fn ceiling(&self, store: Store) -> Ceiling {
-        let bandwidth = match store {
-            Store::L1 => self.l1.rate,
-            Store::L2 => self.l2.rate,
-            Store::Memory => self.memory.rate,
-        };
-        Ceiling { compute: self.compute, bandwidth }
+        Ceiling { compute: self.compute, bandwidth: self.bandwidth(store).rate }
     }
+}
+
+/// Whether no cache seems slower than what lies beyond it; rates are in the order of the stores.
+fn is_falling(rates: [f64; 3]) -> bool {
+    rates.is_sorted_by(|near, far| near >= far)
+}
+
+/// What is believed of measured rates, in the order of the stores.
+fn bandwidths(bytes: [u64; 3], rates: [f64; 3]) -> [Bandwidth; 3] {
+    let mut beyond = 0.0;
+    let mut bandwidths = array::from_fn(|store| Bandwidth {
+        bytes: bytes[store],
+        rate: rates[store],
+        measured: true,
+    });
+    for bandwidth in bandwidths.iter_mut().rev() {
+        bandwidth.measured = bandwidth.rate >= beyond;
+        bandwidth.rate = bandwidth.rate.max(beyond);
+        beyond = bandwidth.rate;
+    }
+    bandwidths
 }
 
 /// The best that work can do.
@@ -194,24 +249,63 @@ impl Ceiling {
     }
 }
 
+/// What a thread had done at a moment.
+#[derive(Debug, Clone, Copy)]
+struct Mark {
+    /// Seconds since the measurement began.
+    at: f64,
+    /// Repeats so far.
+    done: f64,
+}
+
 /// The best rate at which all threads of a pool do `work(thread, repeats)`, in units per second,
 /// where each thread does `units` in one repeat. Goes on for `time`.
+///
+/// Threads do not wait for each other in between: on a busy machine that takes longer than the work.
 fn best(pool: &ThreadPool, time: Duration, units: f64, work: impl Fn(usize, u64) + Sync) -> f64 {
-    let units = units * pool.current_num_threads() as f64;
     let begun = Instant::now();
-    let mut repeats = 1_u64;
-    let mut best = 0.0;
-    while best == 0.0 || begun.elapsed() < time {
-        let batch = Instant::now();
-        pool.broadcast(|context| work(context.index(), repeats));
-        let took = batch.elapsed();
-        if took < BATCH {
-            repeats = repeats.saturating_mul(2);
-        } else {
-            best = f64::max(best, units * repeats as f64 / took.as_secs_f64());
+    let threads = pool.broadcast(|context| {
+        let mut last = begun.elapsed();
+        let mut marks = vec![Mark { at: last.as_secs_f64(), done: 0.0 }];
+        let (mut done, mut repeats) = (0, 1_u64);
+        loop {
+            work(context.index(), repeats);
+            done += repeats;
+            let now = begun.elapsed();
+            marks.push(Mark { at: now.as_secs_f64(), done: done as f64 });
+            if now >= time {
+                return marks;
+            }
+            if now - last < PIECE {
+                repeats = repeats.saturating_mul(2);
+            }
+            last = now;
         }
+    });
+    units * fastest(&threads)
+}
+
+/// The most repeats per second of all threads together in any window; marks are in the order of
+/// time.
+fn fastest(threads: &[Vec<Mark>]) -> f64 {
+    let end = threads.iter().filter_map(|marks| marks.last()).fold(0.0, |end, it| it.at.max(end));
+    let windows = (end / WINDOW * WINDOWS_IN_ONE).ceil() as usize;
+    let done = |at: f64| threads.iter().map(|marks| done(marks, at)).sum::<f64>();
+    let rate = |window: usize| {
+        let begin = window as f64 * WINDOW / WINDOWS_IN_ONE;
+        (done(begin + WINDOW) - done(begin)) / WINDOW
+    };
+    (0..windows).map(rate).fold(0.0, f64::max)
+}
+
+/// What a thread had done at a moment, evenly in between its marks.
+fn done(marks: &[Mark], at: f64) -> f64 {
+    let next = marks.partition_point(|mark| mark.at <= at);
+    match (marks[..next].last(), marks.get(next)) {
+        (Some(a), Some(b)) => a.done + (b.done - a.done) * (at - a.at) / (b.at - a.at),
+        (Some(last), None) => last.done,
+        (None, _) => 0.0,
     }
-    best
 }
 
 /// As much as processors move at once, so that no move straddles two lines of a cache.
@@ -249,24 +343,43 @@ impl Lane {
     }
 }
 
-/// How fast all threads of a pool copy arrays of `bytes` bytes in all.
-fn copy(pool: &ThreadPool, bytes: u64) -> Result<Bandwidth, RooflineError> {
-    let pair = (2 * size_of::<Line>()) as u64;
-    let lines = (bytes / pair / pool.current_num_threads() as u64).max(1);
-    // Each thread makes its own, so that they are in the memory nearest to it.
-    let lanes = pool.broadcast(|_| Mutex::new(Lane::new(lines as usize)));
-    let right = AtomicBool::new(true);
-    let lane = |thread: usize| lanes[thread].lock().unwrap_or_else(|lane| lane.into_inner());
-    let rate = best(pool, DURATION, (lines * pair) as f64, |thread, repeats| {
-        if !lane(thread).copy(repeats) {
-            right.store(false, Ordering::Relaxed);
-        }
-    });
-    let whole = pool.broadcast(|context| lane(context.index()).whole());
-    if !right.into_inner() || whole.contains(&false) {
-        return Err(RooflineError::Wrong("copies"));
+/// Arrays that all threads of a pool copy.
+struct Copying {
+    /// One of them for each thread.
+    lanes: Vec<Mutex<Lane>>,
+    /// Lines in each of a thread's arrays.
+    lines: u64,
+    /// Bytes of all arrays.
+    bytes: u64,
+}
+
+impl Copying {
+    /// Arrays of `bytes` bytes in all, at least a line in each.
+    fn new(pool: &ThreadPool, bytes: u64) -> Self {
+        let pair = (2 * size_of::<Line>()) as u64;
+        let lines = (bytes / pair / pool.current_num_threads() as u64).max(1);
+        // Each thread makes its own, so that they are in the memory nearest to it.
+        let lanes = pool.broadcast(|_| Mutex::new(Lane::new(lines as usize)));
+        Self { bytes: lines * pair * lanes.len() as u64, lanes, lines }
     }
-    Ok(Bandwidth { bytes: lines * pair * lanes.len() as u64, rate })
+
+    /// How fast all threads copy them, in bytes read plus bytes written per second.
+    fn rate(&self, pool: &ThreadPool) -> Result<f64, RooflineError> {
+        let right = AtomicBool::new(true);
+        let lane =
+            |thread: usize| self.lanes[thread].lock().unwrap_or_else(|lane| lane.into_inner());
+        let bytes = (2 * size_of::<Line>()) as f64 * self.lines as f64;
+        let rate = best(pool, DURATION, bytes, |thread, repeats| {
+            if !lane(thread).copy(repeats) {
+                right.store(false, Ordering::Relaxed);
+            }
+        });
+        let whole = pool.broadcast(|context| lane(context.index()).whole());
+        if !right.into_inner() || whole.contains(&false) {
+            return Err(RooflineError::Wrong("copies"));
+        }
+        Ok(rate)
+    }
 }
 
 /// Chains of a multiplication and an addition each, with `LANES` f32 in all.
@@ -298,26 +411,22 @@ impl<const LANES: usize> Vectorized for Chain<LANES> {
 /// the processor, and whether a loop of so many becomes wide instructions on the compiler: 48
 /// lanes ran at a sixth of the rate of 56 (baseline x86-64, Rust 1.95). So several are tried.
 fn compute(pool: &ThreadPool, simd: Simd) -> Result<f64, RooflineError> {
-    const TRIED: u32 = 4;
-    let time = DURATION / TRIED;
     let rates = [
-        compute_lanes::<32>(pool, simd, time)?,
-        compute_lanes::<56>(pool, simd, time)?,
-        compute_lanes::<96>(pool, simd, time)?,
-        compute_lanes::<112>(pool, simd, time)?,
+        compute_lanes::<32>(pool, simd)?,
+        compute_lanes::<56>(pool, simd)?,
+        compute_lanes::<96>(pool, simd)?,
+        compute_lanes::<112>(pool, simd)?,
     ];
     Ok(rates.into_iter().fold(0.0, f64::max))
 }
 
-fn compute_lanes<const LANES: usize>(
-    pool: &ThreadPool,
-    simd: Simd,
-    time: Duration,
-) -> Result<f64, RooflineError> {
+fn compute_lanes<const LANES: usize>(pool: &ThreadPool, simd: Simd) -> Result<f64, RooflineError> {
+    /// Numbers of lanes that are tried.
+    const TRIED: u32 = 4;
     /// Steps that a repeat stands for; even, so that each number comes back: x → 3 − x → x.
     const STEPS: u64 = 64;
     let right = AtomicBool::new(true);
-    let rate = best(pool, time, (STEPS as usize * LANES * 2) as f64, |_, repeats| {
+    let rate = best(pool, DURATION / TRIED, (STEPS as usize * LANES * 2) as f64, |_, repeats| {
         let repeats = STEPS.saturating_mul(repeats);
         let chain = Chain::<LANES> { repeats, factor: black_box(-1.0), term: black_box(3.0) };
         if black_box(simd.run(chain)) != (LANES * (LANES - 1) / 2) as f32 {
@@ -384,22 +493,65 @@ mod tests {
         }
     }
 
-    /// Wide margins: what holds on any machine that is not busy at every moment.
+    /// Marks of a thread that does repeats at these rates, each for so many milliseconds.
+    fn marks(phases: &[(f64, u32)]) -> Vec<Mark> {
+        let mut mark = Mark { at: 0.0, done: 0.0 };
+        let mut marks = vec![mark];
+        for &(rate, milliseconds) in phases {
+            for _ in 0..milliseconds {
+                mark = Mark { at: mark.at + 1e-3, done: mark.done + rate * 1e-3 };
+                marks.push(mark);
+            }
+        }
+        marks
+    }
+
+    #[test]
+    fn the_fastest_window_is_found() {
+        let steady = || marks(&[(1000.0, 100)]);
+        let near = |threads: &[Vec<Mark>], expected: f64| {
+            let rate = fastest(threads);
+            assert!((rate - expected).abs() < 1e-9 * expected, "{rate}, not {expected}");
+        };
+        near(&[steady()], 1000.0);
+        near(&[steady(), steady()], 2000.0);
+        // Somebody else has the core nearly all the time.
+        near(&[steady(), marks(&[(0.0, 60), (1000.0, 4), (0.0, 36)])], 2000.0);
+        // The threads never work at the same time.
+        near(&[marks(&[(1000.0, 50), (0.0, 50)]), marks(&[(0.0, 50), (1000.0, 50)])], 1000.0);
+        // One piece that takes all the time, begun later.
+        let long = |at: f64| vec![Mark { at, done: 0.0 }, Mark { at: at + 0.4, done: 40.0 }];
+        near(&[long(0.0), long(0.3)], 200.0);
+        near(&[long(0.0), long(0.5)], 100.0);
+    }
+
+    #[test]
+    fn a_cache_is_never_slower_than_what_lies_beyond() {
+        let believed = |rates: [f64; 3]| {
+            let found = bandwidths([1, 2, 3], rates);
+            assert_eq!(found.map(|bandwidth| bandwidth.bytes), [1, 2, 3]);
+            assert_eq!(is_falling(rates), found.iter().all(|bandwidth| bandwidth.measured));
+            found.map(|bandwidth| (bandwidth.rate, bandwidth.measured))
+        };
+        assert_eq!(believed([9.0, 5.0, 3.0]), [(9.0, true), (5.0, true), (3.0, true)]);
+        assert_eq!(believed([9.0, 2.0, 3.0]), [(9.0, true), (3.0, false), (3.0, true)]);
+        assert_eq!(believed([2.0, 2.5, 3.0]), [(3.0, false), (3.0, false), (3.0, true)]);
+        assert_eq!(believed([2.0, 5.0, 3.0]), [(5.0, false), (5.0, true), (3.0, true)]);
+        assert_eq!(believed([4.0, 4.0, 4.0]), [(4.0, true), (4.0, true), (4.0, true)]);
+        assert_eq!(believed([4.0, 0.0, 4.0]), [(4.0, true), (4.0, false), (4.0, true)]);
+    }
+
     #[test]
     fn this_machine_has_rates() {
         let machine = Machine::detect();
         for simd in [Simd::plain(), Simd::detect()] {
             for threads in [1, 2] {
-                let measure = || Rates::measure(&machine, simd, threads).unwrap();
-                let all = |rates: &Rates| {
-                    [rates.l1.rate, rates.l2.rate, rates.memory.rate, rates.compute]
-                };
-                // A thread that gets no core for a while measures next to nothing.
-                let idle = |rates: &Rates| all(rates).iter().all(|&rate| rate > 1e7);
-                let rates = (0..20).map(|_| measure()).find(idle).expect("a moment's rest");
-                println!("{}: {rates:#?}", simd.name());
+                let rates = Rates::measure(&machine, simd, threads).unwrap();
                 assert_eq!(rates.threads, threads);
-                assert!(all(&rates).iter().all(|&rate| rate < 1e14), "{rates:#?}");
+                let all = [rates.l1.rate, rates.l2.rate, rates.memory.rate, rates.compute];
+                assert!(all.iter().all(|&rate| 0.0 < rate && rate < 1e14), "{rates:#?}");
+                assert!(is_falling([rates.l1.rate, rates.l2.rate, rates.memory.rate]));
+                assert!(rates.memory.measured);
                 let free = memory::free().unwrap_or(u64::MAX);
                 assert!(rates.memory.bytes <= free / 4);
                 assert_eq!(rates.ceiling(Store::L2).bandwidth, rates.l2.rate);
