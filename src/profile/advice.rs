@@ -1,9 +1,10 @@
 //! Sentences that say what the numbers of a profile mean, and what to try.
 
 use super::access::{Arrangement, Behaviour, Order};
-use super::report::{StageRow, size};
 use super::roofline::{Bound, Rates, Store};
+use super::row::StageRow;
 use super::subject::Sizes;
+use super::units::size;
 use crate::gradient::probe::Stage;
 
 /// What a profile found.

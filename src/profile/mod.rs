@@ -8,8 +8,9 @@
 //!    └─► access: addresses, in several layouts and orders ──► cache: misses, a model
 //!  machine: its caches and cores ──► roofline: what it could do at best
 //!  counters: misses as the processor counts them, if it does
-//!        all of it ──► report: the profile, a table ──► advice: what to do about it
-//!                                                   ──► picture: an SVG
+//!        all of it ──► report: the profile, a table ──► picture: an SVG
+//!                        ├─► row: a stage in numbers ◄──┐
+//!                        └─► advice: what to do about it┘
 //!                      trace: who did what when, for a viewer
 //!  scaling: costs of this machine, and what they come to on a cluster
 //! ```
@@ -29,9 +30,11 @@ pub mod measure;
 pub mod picture;
 pub mod report;
 pub mod roofline;
+pub mod row;
 pub mod scaling;
 pub mod spans;
 pub mod stages;
 pub mod subject;
 pub mod trace;
 pub mod traffic;
+mod units;

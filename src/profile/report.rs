@@ -15,9 +15,11 @@ use super::counters::{Counters, Event, Reading};
 use super::crew::CrewProfile;
 use super::machine::Machine;
 use super::measure::{self, StageTiming, Timing};
-use super::roofline::{Bound, Placement, Rates, Store, Work};
+use super::roofline::{Rates, Work};
+use super::row::{self, StageRow};
 use super::subject::{Sizes, Subject};
-use super::traffic::{self, Subsets, Traffic};
+use super::traffic::{self, Subsets};
+use super::units::size;
 use crate::gradient::probe::Stage;
 use crate::gradient::simd::Simd;
 use crate::tile::TileShape;
@@ -34,26 +36,6 @@ pub enum ProfileError {
     /// There is no memory for the descent.
     #[error(transparent)]
     Memory(#[from] MapError),
-}
-
-/// A stage of a mean step.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct StageRow {
-    /// Its name.
-    pub stage: &'static str,
-    /// Nanoseconds of a step, of all threads together.
-    pub nanoseconds: f64,
-    /// The same for each draw.
-    pub per_draw: f64,
-    /// Share of the time of all stages, waiting included.
-    pub share: f64,
-    /// What it does in a step.
-    #[serde(flatten)]
-    pub traffic: Traffic,
-    /// Where most of its data should be.
-    pub store: Store,
-    /// Where it stands under the roofline of that store; nowhere if it does not work.
-    pub placement: Option<Placement>,
 }
 
 /// What a counter of the processor has seen.
@@ -163,7 +145,8 @@ impl Profile {
         let stages = Stage::ALL.map(|stage| {
             let nanoseconds = probed.of(stage);
             let traffic = traffic[stage as usize];
-            let store = store(stage, &sizes, levels.map(|level| level.bytes), subject.threads());
+            let store =
+                row::store(stage, &sizes, levels.map(|level| level.bytes), subject.threads());
             let work = Work {
                 operations: traffic.operations,
                 bytes: traffic.bytes(),
@@ -212,48 +195,6 @@ impl Profile {
             #[cfg(unix)]
             crew: None,
         })
-    }
-}
-
-/// The nearest store that holds what a stage works on: a draw's scratch, what a cell sees of
-/// samples and gradient, or everything.
-fn store(stage: Stage, sizes: &Sizes, [l1, l2, _]: [u64; 3], threads: usize) -> Store {
-    let (l1, l2, bytes) = match stage {
-        Stage::Gather | Stage::Scatter => (l1, l2, 2 * sizes.window),
-        Stage::Reduce | Stage::Adam => (l1 * threads as u64, l2 * threads as u64, sizes.all()),
-        _ => (l1, l2, 0),
-    };
-    if bytes <= l1 {
-        Store::L1
-    } else if bytes <= l2 {
-        Store::L2
-    } else {
-        Store::Memory
-    }
-}
-
-/// A size as people read it.
-pub(super) fn size(bytes: u64) -> String {
-    match bytes {
-        0..1024 => format!("{bytes} B"),
-        1024..1_048_576 => format!("{:.0} KB", bytes as f64 / 1024.0),
-        _ => format!("{:.1} MB", bytes as f64 / 1_048_576.0),
-    }
-}
-
-/// What a roof is made of, as people read it.
-fn bound(row: &StageRow) -> String {
-    let Some(placement) = row.placement else { return "-".into() };
-    let store = match row.store {
-        Store::L1 => "L1",
-        Store::L2 => "L2",
-        Store::Memory => "memory",
-    };
-    match placement.bound {
-        Bound::Compute => "compute".into(),
-        // From L3, whose rate is not measured, or in streams that suit the memory better.
-        Bound::Memory if placement.share > 1.0 => format!("{store}, faster than copying there"),
-        Bound::Memory => store.into(),
     }
 }
 
@@ -343,7 +284,7 @@ impl fmt::Display for Profile {
                 placement.attained / 1e9,
                 intensity,
                 100.0 * placement.share,
-                bound(row)
+                row.bound()
             )?;
         }
         writeln!(
