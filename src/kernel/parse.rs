@@ -52,6 +52,15 @@ impl FromStr for KernelSpec {
     }
 }
 
+/// Files hold the text form.
+impl TryFrom<String> for KernelSpec {
+    type Error = ParseError;
+
+    fn try_from(text: String) -> Result<Self, ParseError> {
+        text.parse()
+    }
+}
+
 /// A problem and its position in bytes.
 type Placed = (usize, SpecProblem);
 

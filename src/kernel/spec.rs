@@ -18,8 +18,6 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::kernel::parse::ParseError;
-
 /// Most pixels or frames that a kernel may extend over in one axis before it is truncated.
 pub const MAX_LENGTH: u32 = 1 << 14;
 /// Most classes of a mixture.
@@ -437,14 +435,6 @@ impl fmt::Display for KernelSpec {
             write!(f, "{}{}: {kind}", if i == 0 { "" } else { " + " }, number(*weight))?;
         }
         Ok(())
-    }
-}
-
-impl TryFrom<String> for KernelSpec {
-    type Error = ParseError;
-
-    fn try_from(text: String) -> Result<Self, ParseError> {
-        text.parse()
     }
 }
 
