@@ -4,6 +4,7 @@
 //! (the last axis varies fastest). It wraps toroidally in x, y and t.
 
 mod block;
+mod cell;
 mod layout;
 mod partition;
 mod region;
@@ -11,8 +12,9 @@ mod rows;
 mod shape;
 
 pub use block::{Block, Overlap, Segment};
+pub use cell::{Cell, Reach};
 pub use layout::{LINE, Layout, Placement};
-pub use partition::{Cell, Partition, Reach, TooManyRanks};
+pub use partition::{Partition, TooManyRanks};
 pub use region::{Piece, Region, Regions, Window};
 pub use rows::{Rows, SLACK};
 pub use shape::{MAX_DIMS, MAX_SPP, ShapeError, TileShape};
