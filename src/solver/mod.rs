@@ -9,10 +9,12 @@
 
 pub mod adam;
 mod halo;
+mod histograms;
 mod options;
 pub mod polish;
 pub mod rounds;
 mod samples;
+mod slots;
 pub mod start;
 mod state;
 mod step;
@@ -26,7 +28,7 @@ pub use options::{MAX_POLISH_TAPS, Options, OptionsError, Preset, Start};
 pub use samples::Samples;
 pub(crate) use samples::tile_of;
 pub use state::{Onlooker, Snapshot};
+pub use step::Descent;
 pub(crate) use step::around;
-pub use step::{BLOCKS_PER_THREAD, Descent};
-pub use storage::{Record, Recorded, Storage, StoragePlan, Team};
+pub use storage::{BLOCKS_PER_THREAD, Record, Recorded, Storage, StoragePlan, Team};
 pub use summary::{Phase, StopReason, Summary};

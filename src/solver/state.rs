@@ -13,7 +13,6 @@
 //! down what was there before 1.2 times.
 
 use std::io;
-use std::ops::Range;
 
 use perceptile_cluster::shared::{Job, Part, Parts, Section};
 use perceptile_cluster::{Ends, World, faults::Place};
@@ -21,6 +20,7 @@ use perceptile_cluster::{Ends, World, faults::Place};
 use crate::gradient::simd::Simd;
 use crate::solver::adam::{Factors, Pull, Update, UpdateTo};
 use crate::solver::halo::SampleHalo;
+use crate::solver::slots::Slots;
 use crate::solver::{Phase, Storage, rounds};
 use crate::tile::{Reach, Region, Regions, Rows, TileShape};
 
@@ -50,59 +50,6 @@ pub(crate) struct State {
     pub second: Parts<f32>,
     /// What it sees of others' samples.
     pub halo: SampleHalo,
-}
-
-/// Where the rows of a line's moments lie.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Slots {
-    frames: usize,
-    /// Rows that there is room for: one more than frames, if a rank can be lost.
-    count: usize,
-    /// Words of a row.
-    own: usize,
-}
-
-impl Slots {
-    /// The slots of the lines of a tile.
-    pub fn new(shape: TileShape, can_fail: bool) -> Self {
-        let own = shape.width() * shape.spp() * shape.dims();
-        Self { frames: shape.frames(), count: shape.frames() + usize::from(can_fail), own }
-    }
-
-    /// Words of a line.
-    pub fn line(self) -> usize {
-        self.count * self.own
-    }
-
-    /// Slots that rows have moved on before step number `step`.
-    pub fn turns(self, step: u32) -> usize {
-        if self.count > self.frames { step as usize % self.count } else { 0 }
-    }
-
-    /// Words of the row of frame `t` in a line after so many `turns`, up to one more than slots.
-    pub fn row(self, t: usize, turns: usize) -> Range<usize> {
-        // No remainder: it would take longer than the arithmetic of some samples.
-        let slot = if t >= turns { t - turns } else { t + self.count - turns };
-        slot * self.own..(slot + 1) * self.own
-    }
-
-    /// The rows of all lines before a step, in line order.
-    fn rows(self, moments: &[f32], step: u32) -> Vec<&[f32]> {
-        let turns = self.turns(step);
-        let lines = moments.chunks_exact(self.line());
-        lines.flat_map(|line| (0..self.frames).map(move |t| &line[self.row(t, turns)])).collect()
-    }
-
-    /// Puts moments in line order where they belong before a step.
-    pub fn put(self, moments: &mut [f32], step: u32, rows: &[f32]) {
-        let turns = self.turns(step);
-        let lines = moments.chunks_exact_mut(self.line());
-        for (line, rows) in lines.zip(rows.chunks_exact(self.frames * self.own)) {
-            for (t, row) in rows.chunks_exact(self.own).enumerate() {
-                line[self.row(t, turns)].copy_from_slice(row);
-            }
-        }
-    }
 }
 
 /// Gives every line of `words` its words.
@@ -306,7 +253,7 @@ impl<'a> Line<'a> {
         let start = t * self.rows.stride() + self.rows.lead();
         let samples = &mut self.samples[start..start + self.rows.own()];
         let row = self.slots.row(t, turns);
-        if self.slots.count == self.slots.frames {
+        if !self.slots.move_on() {
             let (first, second) = (&mut self.first[row.clone()], &mut self.second[row]);
             simd.run(Update { factors, pulls, samples, first, second });
         } else {

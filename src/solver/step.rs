@@ -58,9 +58,6 @@ struct Scratch<P> {
     probe: P,
 }
 
-/// Blocks for each thread, so that one who is done can take over from one who is late.
-pub const BLOCKS_PER_THREAD: usize = 4;
-
 impl Descent {
     /// Prepares `steps` steps from `samples`, by the threads of the current pool.
     ///

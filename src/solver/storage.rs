@@ -16,9 +16,12 @@ use perceptile_cluster::shared::{Arena, Board, BoardPlan, Map, MapError, Section
 use serde::{Deserialize, Serialize};
 
 use crate::gradient::Objective;
-use crate::solver::state::Slots;
-use crate::solver::{BLOCKS_PER_THREAD, Summary, warp};
+use crate::solver::slots::Slots;
+use crate::solver::{Summary, histograms};
 use crate::tile::{Block, Partition, Reach, Region, SLACK, TileShape};
+
+/// Blocks for each thread, so that one who is done can take over from one who is late.
+pub const BLOCKS_PER_THREAD: usize = 4;
 
 /// Who works on a region of a run's tile.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -115,7 +118,10 @@ impl StoragePlan {
     fn board(&self) -> BoardPlan {
         let Team { ranks, threads, can_fail, .. } = self.team;
         let row = self.shape.width() * self.shape.spp() * self.shape.dims();
-        let jobs = self.blocks.max(self.shape.height()).max(warp::jobs(self.shape, self.team));
+        let jobs = self
+            .blocks
+            .max(self.shape.height())
+            .max(histograms::jobs(self.shape, self.team.all_threads()));
         // A unit is a row of samples.
         BoardPlan { ranks, threads, jobs, journal: if can_fail { row * 4 } else { 0 } }
     }
@@ -128,7 +134,7 @@ impl StoragePlan {
 
     /// Bytes of it all; saturating.
     pub fn bytes(&self) -> usize {
-        let counts = bytes(8, warp::count_words(self.shape, self.team));
+        let counts = bytes(8, histograms::count_words(self.shape, self.team.all_threads()));
         [
             bytes(4, self.samples),
             bytes(4, self.moments()),
@@ -176,7 +182,9 @@ impl StoragePlan {
             first: arena.take(4 * self.moments()),
             second: arena.take(4 * self.moments()),
             work: arena.take(4 * self.work),
-            counts: [(); 2].map(|()| arena.take(8 * warp::count_words(self.shape, self.team))),
+            counts: [(); 2].map(|()| {
+                arena.take(8 * histograms::count_words(self.shape, self.team.all_threads()))
+            }),
             found: Arc::new(Found(arena.take(8 * Found::WORDS * self.blocks).words())),
             makers: Arc::new(arena.take(8 * self.shape.height()).words()),
             record: Arc::new(Record(arena.take(8 * Record::WORDS).words())),

@@ -21,6 +21,7 @@ use serde::{Deserialize, Serialize};
 use crate::draw::{Direction, DirectionSet, Stream, Use};
 use crate::gradient::Targets;
 use crate::gradient::simd::{Isa, Simd, Vectorized};
+use crate::solver::histograms::{BINS, CHUNK, COUNTS, jobs};
 use crate::solver::storage::{Storage, Team};
 use crate::solver::{Phase, rounds};
 use crate::tile::{MAX_DIMS, TileShape, clamp_coordinate};
@@ -33,29 +34,6 @@ pub struct WarpOptions {
     pub frames: u32,
     /// Share of the way that samples go for each frame, in (0, 1].
     pub rate: f64,
-}
-
-/// Bins of a histogram of projections. More would make the density smoother still, but follow the
-/// chance of single samples and so disturb their strata (axis edges were 6 % worse with 1,024 bins
-/// than with 128, where the density was less even; in the mean of ratios, as `metric` scored before).
-const BINS: usize = 256;
-
-/// Coordinates that a thread handles at a time, so that they stay close to it while it moves them
-/// and counts them; of no influence on the result.
-const CHUNK: usize = 1 << 14;
-
-/// Words of a job's histograms: two axes at most.
-const COUNTS: usize = 2 * BINS;
-
-/// Jobs that the samples of a tile are dealt out as.
-pub(crate) fn jobs(shape: TileShape, team: Team) -> usize {
-    let points = shape.coordinates() / shape.dims();
-    shape.coordinates().div_ceil(CHUNK).min(team.all_threads() * 4).clamp(1, points)
-}
-
-/// Words of the histograms of all jobs.
-pub(crate) fn count_words(shape: TileShape, team: Team) -> usize {
-    jobs(shape, team) * COUNTS
 }
 
 impl WarpOptions {
@@ -83,7 +61,7 @@ pub fn warp(
     if frames == 0 {
         return storage;
     }
-    let jobs = jobs(shape, Team::of(world));
+    let jobs = jobs(shape, Team::of(world).all_threads());
     let points = shape.coordinates() / dims;
     let part = |job: usize| points * job / jobs * dims..points * (job + 1) / jobs * dims;
     let tile =
