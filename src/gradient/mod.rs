@@ -523,26 +523,3 @@ fn pull<I: Isa>(
     }
     isa.join(planes, points, padded, dims);
 }
-
-/// The nearest integer (ties to even) of a number of magnitude below 2²².
-#[inline(always)]
-fn to_integer(x: f32) -> i32 {
-    // Adding 1.5·2²³ leaves the integer in the low bits of the significand.
-    const MAGIC: f32 = 12_582_912.0;
-    (x + MAGIC).to_bits() as i32 - MAGIC.to_bits() as i32
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use proptest::prelude::*;
-
-    proptest! {
-        #[test]
-        fn rounding_is_to_nearest_even(x in -4_194_303.0_f32..4_194_303.0, halves in -4000_i32..4000) {
-            prop_assert_eq!(to_integer(x), x.round_ties_even() as i32);
-            let half = halves as f32 * 0.5;
-            prop_assert_eq!(to_integer(half), half.round_ties_even() as i32);
-        }
-    }
-}
