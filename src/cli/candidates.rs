@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use anyhow::Context;
 use indicatif::{ProgressBar, ProgressStyle};
 use perceptile::kernel::{KernelSpec, KernelTaps};
-use perceptile::metric::{Baseline, Entry, ScoreOptions};
+use perceptile::metric::{Baseline, ScoreOptions, ScoredTile};
 use perceptile::tile::Tile;
 
 use super::source::SourceArgs;
@@ -75,15 +75,16 @@ impl Candidate {
         options: ScoreOptions,
         with_spectra: bool,
         progress: &ProgressBar,
-    ) -> Result<(Entry, KernelTaps), anyhow::Error> {
+    ) -> Result<(ScoredTile, KernelTaps), anyhow::Error> {
         let Self { name, path, tile } = self;
         let shape = tile.shape();
         let context = || format!("cannot score {name}, a tile of {shape}");
         let kernel = kernel.resolve(shape).with_context(context)?;
         let taps = kernel.classes()[0].taps.clone();
         let (name, path) = (name.clone(), path.clone());
-        let entry = Entry::of(name, path, tile, &taps, options, with_spectra, || progress.inc(1))
-            .with_context(context)?;
+        let entry =
+            ScoredTile::of(name, path, tile, &taps, options, with_spectra, || progress.inc(1))
+                .with_context(context)?;
         Ok((entry, taps))
     }
 }

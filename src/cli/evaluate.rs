@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use perceptile::format::write::{self, Existing};
 use perceptile::kernel::KernelSpec;
-use perceptile::metric::{Baseline, Class, Domain, Entry, ScoreOptions};
+use perceptile::metric::{Baseline, Class, Domain, ScoreOptions, ScoredTile};
 use perceptile::report::pictures::spectrum_picture;
 use serde::Serialize;
 
@@ -68,13 +68,13 @@ pub struct EvaluateArgs {
 
 /// All that the command found out, as `--json` prints it.
 #[derive(Debug, Serialize)]
-struct Report {
+struct Evaluation {
     /// The kernel's text form.
     kernel: String,
     options: ScoreOptions,
     /// Name of the tile that the others are compared with.
     against: String,
-    tiles: Vec<Entry>,
+    tiles: Vec<ScoredTile>,
 }
 
 /// Scores the tiles and prints what came out.
@@ -113,7 +113,7 @@ pub fn run(args: EvaluateArgs) -> Result<(), anyhow::Error> {
     progress.finish_and_clear();
     // The tile to compare with is always put first.
     let against = tiles[0].name.clone();
-    let report = Report { kernel: args.kernel.to_string(), options, against, tiles };
+    let report = Evaluation { kernel: args.kernel.to_string(), options, against, tiles };
     print(&if args.json {
         serde_json::to_string_pretty(&report)? + "\n"
     } else {
@@ -144,7 +144,11 @@ fn picture(folder: &Path, name: &str, class: Class, domain: Domain, plane: &str)
     folder.join(format!("{name}-{class}{pairs}-{plane}.png"))
 }
 
-fn save_spectra(folder: &Path, entry: &Entry, existing: Existing) -> Result<(), anyhow::Error> {
+fn save_spectra(
+    folder: &Path,
+    entry: &ScoredTile,
+    existing: Existing,
+) -> Result<(), anyhow::Error> {
     for spectra in entry.spectra.iter().flatten() {
         for (plane, spectrum) in [("xy", &spectra.xy), ("xt", &spectra.xt)] {
             let path = picture(folder, &entry.name, spectra.class, spectra.domain, plane);

@@ -68,7 +68,7 @@ pub fn run(args: KernelArgs) -> Result<(), anyhow::Error> {
         })?,
     };
     let text = if args.json {
-        let report = Report { kernel: args.spec.to_string(), classes: describe(&kernel) };
+        let report = KernelReport { kernel: args.spec.to_string(), classes: describe(&kernel) };
         serde_json::to_string_pretty(&report)? + "\n"
     } else {
         table(&kernel, if args.all { usize::MAX } else { LISTED })
@@ -92,7 +92,7 @@ fn write_picture(kernel: &Kernel, path: &Path, existing: Existing) -> Result<(),
 
 /// The JSON form.
 #[derive(Serialize)]
-struct Report {
+struct KernelReport {
     kernel: String,
     classes: Vec<ClassReport>,
 }

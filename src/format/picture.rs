@@ -8,7 +8,7 @@ use std::path::Path;
 
 use thiserror::Error;
 
-use super::png::{self, Depth, Layout, Raster};
+use super::png::{self, Depth, PixelFormat, Raster};
 use super::write::{self, Existing, WriteError};
 use crate::tile::{Tile, TileShape};
 
@@ -151,7 +151,7 @@ impl Image {
         let raster = Raster {
             width: self.width,
             height: self.height,
-            layout: if self.channels == 1 { Layout::Gray } else { Layout::Rgb },
+            layout: if self.channels == 1 { PixelFormat::Gray } else { PixelFormat::Rgb },
             depth: Depth::Eight,
             levels: self.data.iter().map(|&level| level.into()).collect(),
         };

@@ -100,7 +100,7 @@ impl Depth {
 
 /// The channels that pixels have.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub enum Layout {
+pub enum PixelFormat {
     /// One.
     Gray,
     /// Gray and alpha.
@@ -111,7 +111,7 @@ pub enum Layout {
     Rgba,
 }
 
-impl Layout {
+impl PixelFormat {
     /// Number of all channels.
     pub fn channels(self) -> usize {
         match self {
@@ -240,7 +240,7 @@ pub struct Raster {
     /// Pixels down, at least 1.
     pub height: usize,
     /// Channels of a pixel.
-    pub layout: Layout,
+    pub layout: PixelFormat,
     /// Bits of a channel.
     pub depth: Depth,
     /// Levels row by row from the top, pixel by pixel, channel by channel:
@@ -278,11 +278,11 @@ pub fn decode(input: impl BufRead + Seek, bytes: u64) -> Result<Raster, PngError
     }
     let (color, depth) = reader.output_color_type();
     let layout = match color {
-        ColorType::Grayscale => Layout::Gray,
-        ColorType::GrayscaleAlpha => Layout::GrayAlpha,
+        ColorType::Grayscale => PixelFormat::Gray,
+        ColorType::GrayscaleAlpha => PixelFormat::GrayAlpha,
         // Palettes have been expanded.
-        ColorType::Rgb | ColorType::Indexed => Layout::Rgb,
-        ColorType::Rgba => Layout::Rgba,
+        ColorType::Rgb | ColorType::Indexed => PixelFormat::Rgb,
+        ColorType::Rgba => PixelFormat::Rgba,
     };
     let depth = if depth == BitDepth::Sixteen { Depth::Sixteen } else { Depth::Eight };
     let (width, height) = (width as usize, height as usize);
@@ -344,10 +344,10 @@ fn encode_with(
         encoder.add_text_chunk(SOFTWARE.into(), software.into())?;
     }
     encoder.set_color(match raster.layout {
-        Layout::Gray => ColorType::Grayscale,
-        Layout::GrayAlpha => ColorType::GrayscaleAlpha,
-        Layout::Rgb => ColorType::Rgb,
-        Layout::Rgba => ColorType::Rgba,
+        PixelFormat::Gray => ColorType::Grayscale,
+        PixelFormat::GrayAlpha => ColorType::GrayscaleAlpha,
+        PixelFormat::Rgb => ColorType::Rgb,
+        PixelFormat::Rgba => ColorType::Rgba,
     });
     let data: Vec<u8> = match raster.depth {
         Depth::Eight => raster.levels.iter().map(|&level| level as u8).collect(),
@@ -421,7 +421,7 @@ mod tests {
     #[test]
     fn palettes_and_few_bits_are_expanded() {
         let palette = read(&foreign(ColorType::Indexed, BitDepth::One, &[0b0100_0000], 2)).unwrap();
-        assert_eq!((palette.layout, palette.depth), (Layout::Rgb, Depth::Eight));
+        assert_eq!((palette.layout, palette.depth), (PixelFormat::Rgb, Depth::Eight));
         assert_eq!(palette.levels, [1, 2, 3, 40, 50, 60]);
         let gray = read(&foreign(ColorType::Grayscale, BitDepth::Four, &[0x3f], 2)).unwrap();
         assert_eq!(gray.levels, [0x33, 0xff]);
@@ -456,10 +456,10 @@ mod tests {
 
     fn rasters() -> impl Strategy<Value = Raster> {
         let layouts = prop_oneof![
-            Just(Layout::Gray),
-            Just(Layout::GrayAlpha),
-            Just(Layout::Rgb),
-            Just(Layout::Rgba)
+            Just(PixelFormat::Gray),
+            Just(PixelFormat::GrayAlpha),
+            Just(PixelFormat::Rgb),
+            Just(PixelFormat::Rgba)
         ];
         let depths = prop_oneof![Just(Depth::Eight), Just(Depth::Sixteen)];
         (1_usize..9, 1_usize..9, layouts, depths).prop_flat_map(|(width, height, layout, depth)| {

@@ -86,7 +86,7 @@ impl Series {
     /// # Errors
     /// Any [`SeriesError`].
     pub fn new(names: Vec<String>) -> Result<Self, SeriesError> {
-        let mut parsed = names.into_iter().map(Name::parse).collect::<Result<Vec<_>, _>>()?;
+        let mut parsed = names.into_iter().map(SliceName::parse).collect::<Result<Vec<_>, _>>()?;
         parsed.sort_by(|a, b| (&a.numbers, &a.whole).cmp(&(&b.numbers, &b.whole)));
         let (Some(first), Some(last)) = (parsed.first(), parsed.last()) else {
             return Ok(Self { names: Vec::new(), layout: None });
@@ -140,14 +140,14 @@ impl Series {
 }
 
 /// A file name, taken apart into its numbers and the text around them.
-struct Name {
+struct SliceName {
     whole: String,
     /// One more than numbers; text may be empty.
     text: Vec<String>,
     numbers: Vec<u64>,
 }
 
-impl Name {
+impl SliceName {
     fn parse(whole: String) -> Result<Self, SeriesError> {
         let mut text = vec![String::new()];
         let mut numbers = Vec::new();

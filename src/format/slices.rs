@@ -13,7 +13,7 @@ use std::fs::{self, File};
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
-use super::png::{self, Depth, Layout, Raster};
+use super::png::{self, Depth, PixelFormat, Raster};
 use super::write::{self, Existing, Staged, WriteError};
 use crate::tile::{Tile, TileShape};
 
@@ -80,7 +80,7 @@ pub fn write_slices(
             return Err(WriteError::Foreign { path: path.clone() });
         }
     }
-    let stage = |(piece, path): (Piece, &PathBuf)| {
+    let stage = |(piece, path): (SliceFile, &PathBuf)| {
         let raster = piece.raster(tile, options.depth);
         Staged::new(path, existing, |out| png::encode_as(&raster, SOFTWARE, out))
     };
@@ -146,7 +146,7 @@ fn is_exported(path: &Path) -> bool {
 }
 
 /// What one file holds.
-struct Piece {
+struct SliceFile {
     /// The only frame, or all.
     frame: Option<usize>,
     sample: usize,
@@ -157,13 +157,13 @@ struct Piece {
 }
 
 /// All files of a tile, in natural order of their names.
-fn pieces(shape: TileShape, options: SliceOptions) -> impl Iterator<Item = Piece> {
+fn pieces(shape: TileShape, options: SliceOptions) -> impl Iterator<Item = SliceFile> {
     let group = if shape.dims() > PNG_DIMS { PAIR } else { shape.dims() };
     let named = shape.spp() > 1 || shape.dims() > PNG_DIMS;
     let files = if options.strip { 1 } else { shape.frames() };
     (0..files).flat_map(move |frame| {
         (0..shape.spp()).flat_map(move |sample| {
-            (0..shape.dims()).step_by(group).map(move |first_dim| Piece {
+            (0..shape.dims()).step_by(group).map(move |first_dim| SliceFile {
                 frame: (!options.strip).then_some(frame),
                 sample,
                 first_dim,
@@ -174,7 +174,7 @@ fn pieces(shape: TileShape, options: SliceOptions) -> impl Iterator<Item = Piece
     })
 }
 
-impl Piece {
+impl SliceFile {
     fn name(&self, shape: TileShape, stem: &str) -> String {
         // As many digits as the last number needs keep the files sorted everywhere.
         let digits = (shape.frames() - 1).to_string().len().max(3);
@@ -190,9 +190,9 @@ impl Piece {
     fn raster(&self, tile: &Tile, depth: Depth) -> Raster {
         let shape = tile.shape();
         let layout = match self.dims {
-            1 => Layout::Gray,
-            2 | 3 => Layout::Rgb,
-            _ => Layout::Rgba,
+            1 => PixelFormat::Gray,
+            2 | 3 => PixelFormat::Rgb,
+            _ => PixelFormat::Rgba,
         };
         let frames = self.frame.map_or(0..shape.frames(), |frame| frame..frame + 1);
         let height = frames.len() * shape.height();

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use thiserror::Error;
 
 use super::npy::{self, NpyError};
-use super::png::{self, Channel, Channels, Layout, PngError, Raster};
+use super::png::{self, Channel, Channels, PixelFormat, PngError, Raster};
 use super::series::{Series, SeriesError, SeriesLayout};
 use super::slices::is_png;
 use crate::tile::{ShapeError, Tile, TileShape};
@@ -454,10 +454,10 @@ fn decode(path: &Path, file: BufReader<File>, bytes: u64) -> Result<Raster, Sour
 /// Size, channels and bits of a picture, for people.
 fn describe(raster: &Raster) -> String {
     let layout = match raster.layout {
-        Layout::Gray => "gray",
-        Layout::GrayAlpha => "gray and alpha",
-        Layout::Rgb => "RGB",
-        Layout::Rgba => "RGBA",
+        PixelFormat::Gray => "gray",
+        PixelFormat::GrayAlpha => "gray and alpha",
+        PixelFormat::Rgb => "RGB",
+        PixelFormat::Rgba => "RGBA",
     };
     format!(
         "{}x{} pixels, {layout}, {} bits",

@@ -81,7 +81,7 @@ pub struct Workspace {
     /// Runs of a subset that is in no table.
     runs: Vec<Run>,
     spots: [Vec<Spot>; LOCATED],
-    slots: [Slot; STAGES],
+    slots: [DrawSlot; STAGES],
     stage: StageScratch,
     /// What a cell sees, in another layout than the tile's.
     placed: (Vec<f32>, Vec<i32>),
@@ -100,7 +100,7 @@ struct StageScratch {
 
 /// What one draw carries from stage to stage.
 #[derive(Debug, Clone, Default)]
-struct Slot {
+struct DrawSlot {
     /// Samples of the subset, and the next multiple of [`LANES`].
     n: usize,
     padded: usize,
@@ -257,7 +257,7 @@ impl Gradient {
             let patch = Patch { words: &mut *patch.words };
             let (gradient, place) = (self, self.partition.cell(cell));
             let draws_of_cell = &draws;
-            let job = Job {
+            let job = CellJob {
                 gradient,
                 block,
                 place,
@@ -276,7 +276,7 @@ impl Gradient {
 }
 
 /// All draws of a cell, to be done in one go.
-struct Job<'a, P> {
+struct CellJob<'a, P> {
     gradient: &'a Gradient,
     block: &'a Block,
     place: Cell,
@@ -287,7 +287,7 @@ struct Job<'a, P> {
     probe: &'a mut P,
 }
 
-impl<P: Probe> Vectorized for Job<'_, P> {
+impl<P: Probe> Vectorized for CellJob<'_, P> {
     type Output = Objective;
 
     #[inline(always)]
@@ -298,8 +298,8 @@ impl<P: Probe> Vectorized for Job<'_, P> {
 
 /// Does a job in the layout that it asks for.
 #[inline(always)]
-fn run<I: Isa, P: Probe>(job: Job<'_, P>, isa: I) -> Objective {
-    let Job { gradient, block, place, samples, patch, workspace, draws, probe } = job;
+fn run<I: Isa, P: Probe>(job: CellJob<'_, P>, isa: I) -> Objective {
+    let CellJob { gradient, block, place, samples, patch, workspace, draws, probe } = job;
     let rows = &gradient.rows;
     let frames = rows.shape().frames();
     let reach = rows.reach();
@@ -422,7 +422,7 @@ const AHEAD: usize = 1;
 /// Draws whose runs are known at a time: those in the stages, and those ahead of them.
 const LOCATED: usize = STAGES + AHEAD;
 
-impl Slot {
+impl DrawSlot {
     /// Makes room for a subset of `n` samples.
     #[inline(always)]
     fn grow(&mut self, n: usize, dims: usize, directions: usize) {
@@ -441,14 +441,14 @@ impl Slot {
 #[inline(always)]
 fn rank<I: Isa, P: Probe>(
     gradient: &Gradient,
-    slot: &mut Slot,
+    slot: &mut DrawSlot,
     directions: &[Direction],
     stage: &mut StageScratch,
     isa: I,
     probe: &mut P,
 ) {
     let dims = gradient.rows.shape().dims();
-    let &mut Slot { n, padded, ref points, ref mut projections, ref mut wanted } = slot;
+    let &mut DrawSlot { n, padded, ref points, ref mut projections, ref mut wanted } = slot;
     let StageScratch { planes, targets, integrals, keys } = stage;
     if planes.len() < padded * dims {
         planes.resize(padded * dims, 0.0);
@@ -491,7 +491,7 @@ fn rank<I: Isa, P: Probe>(
 #[inline(always)]
 fn pull<I: Isa>(
     gradient: &Gradient,
-    slot: &mut Slot,
+    slot: &mut DrawSlot,
     directions: &[Direction],
     stage: &mut StageScratch,
     isa: I,
@@ -499,7 +499,7 @@ fn pull<I: Isa>(
 ) {
     let dims = gradient.rows.shape().dims();
     let scale = gradient.quantum.scale();
-    let &mut Slot { n, padded, ref mut points, ref projections, ref mut wanted } = slot;
+    let &mut DrawSlot { n, padded, ref mut points, ref projections, ref mut wanted } = slot;
     let planes = &mut stage.planes[..padded * dims];
     let lanes = projections.chunks_exact(padded).zip(wanted.chunks_exact_mut(padded));
     for (nth, (direction, (projections, wanted))) in directions.iter().zip(lanes).enumerate() {

@@ -1,6 +1,6 @@
 //! The weights of each factor of a product.
 
-use crate::kernel::grid::{Axis, Grid};
+use crate::kernel::grid::{Grid, GridAxis};
 use crate::kernel::spec::{Factor, MAX_LENGTH, NEGLIGIBLE, gaussian_radius};
 use crate::kernel::table::{self, TableError};
 
@@ -41,7 +41,7 @@ impl Factor {
             }
             Self::GaussianTime { sigma, radius } => {
                 let (low, row) = gaussian(*sigma, *radius);
-                Weights::Time(Grid::row(Axis::Time, low, row))
+                Weights::Time(Grid::row(GridAxis::Time, low, row))
             }
             Self::FovVideoVdp { fps } => Weights::Time(past(perception_taps(*fps))),
             Self::Ema { alpha } => {
@@ -58,7 +58,7 @@ impl Factor {
 /// A row along time from its weights by falling time: the first is the newest frame's.
 fn past(mut weights: Vec<f64>) -> Grid {
     weights.reverse();
-    Grid::row(Axis::Time, 1 - weights.len() as i32, weights)
+    Grid::row(GridAxis::Time, 1 - weights.len() as i32, weights)
 }
 
 /// The first offset and the weights exp(−k²/2σ²), peak 1.

@@ -17,7 +17,7 @@ pub(crate) struct Grid {
 
 /// Along which axis a row of weights lies.
 #[derive(Debug, Clone, Copy)]
-pub(crate) enum Axis {
+pub(crate) enum GridAxis {
     X,
     Y,
     Time,
@@ -34,19 +34,19 @@ impl Grid {
     }
 
     /// A row of weights along one axis, the first of them at offset `low`.
-    pub(crate) fn row(axis: Axis, low: i32, weights: Vec<f64>) -> Self {
+    pub(crate) fn row(axis: GridAxis, low: i32, weights: Vec<f64>) -> Self {
         let n = weights.len();
         let (low, size) = match axis {
-            Axis::X => (IVec3::new(low, 0, 0), [1, 1, n]),
-            Axis::Y => (IVec3::new(0, low, 0), [1, n, 1]),
-            Axis::Time => (IVec3::new(0, 0, low), [n, 1, 1]),
+            GridAxis::X => (IVec3::new(low, 0, 0), [1, 1, n]),
+            GridAxis::Y => (IVec3::new(0, low, 0), [1, n, 1]),
+            GridAxis::Time => (IVec3::new(0, 0, low), [n, 1, 1]),
         };
         Self::new(low, size, weights)
     }
 
     /// The identity of convolution.
     pub(crate) fn one() -> Self {
-        Self::row(Axis::X, 0, vec![1.0])
+        Self::row(GridAxis::X, 0, vec![1.0])
     }
 
     /// Number of weights.

@@ -6,7 +6,7 @@ use std::fmt;
 use std::str::FromStr;
 
 use crate::kernel::spec::{
-    Class, ClassKind, Factor, KernelSpec, MAX_CLASSES, SpecProblem, Truncation, check_weight,
+    ClassKind, ClassSpec, Factor, KernelSpec, MAX_CLASSES, SpecProblem, Truncation, check_weight,
 };
 
 /// Why a text is not a kernel, and where.
@@ -65,25 +65,25 @@ impl TryFrom<String> for KernelSpec {
 type Placed = (usize, SpecProblem);
 
 /// A name that may stand in a product, and how it is written.
-struct Name {
+struct FactorName {
     name: &'static str,
     usage: &'static str,
 }
 
-const FACTORS: [Name; 7] = [
-    Name { name: "none", usage: "`none`, without arguments" },
-    Name {
+const FACTORS: [FactorName; 7] = [
+    FactorName { name: "none", usage: "`none`, without arguments" },
+    FactorName {
         name: "gaussian",
         usage: "`gaussian(SIGMA)` or `gaussian(SIGMA, radius=PIXELS)`, in pixels",
     },
-    Name { name: "fovvideovdp", usage: "`fovvideovdp(FPS)`, in frames per second" },
-    Name { name: "ema", usage: "`ema(ALPHA)`, the weight of the newest frame" },
-    Name {
+    FactorName { name: "fovvideovdp", usage: "`fovvideovdp(FPS)`, in frames per second" },
+    FactorName { name: "ema", usage: "`ema(ALPHA)`, the weight of the newest frame" },
+    FactorName {
         name: "gaussian_t",
         usage: "`gaussian_t(SIGMA)` or `gaussian_t(SIGMA, radius=FRAMES)`, in frames",
     },
-    Name { name: "box", usage: "`box(FRAMES)`, a whole number of frames" },
-    Name { name: "table", usage: "`table(\"FILE.npy\", origin=(T, Y, X))`" },
+    FactorName { name: "box", usage: "`box(FRAMES)`, a whole number of frames" },
+    FactorName { name: "table", usage: "`table(\"FILE.npy\", origin=(T, Y, X))`" },
 ];
 
 /// One argument of a factor, with its place.
@@ -123,7 +123,7 @@ impl<'a> Parser<'a> {
         KernelSpec::new(classes).map_err(|problem| (self.at, problem))
     }
 
-    fn class(&mut self) -> Result<Class, Placed> {
+    fn class(&mut self) -> Result<ClassSpec, Placed> {
         let at = self.skip_blanks();
         let mut weight = 1.0;
         if self.peek().is_some_and(|c| c.is_ascii_digit() || matches!(c, '-' | '.')) {
@@ -133,7 +133,7 @@ impl<'a> Parser<'a> {
                 return Err(self.unexpected("`:` and a kernel after its weight"));
             }
         }
-        Ok(Class { weight, kind: self.kind()? })
+        Ok(ClassSpec { weight, kind: self.kind()? })
     }
 
     fn kind(&mut self) -> Result<ClassKind, Placed> {
@@ -457,8 +457,8 @@ mod tests {
             vec![Factor::Gaussian { sigma: 2.1, radius: None }, Factor::FovVideoVdp { fps: 60.0 }];
         let truncation = Some(Truncation::Box { width: 7, height: 7, frames: 8 });
         let expected = KernelSpec::new(vec![
-            Class { weight: 0.9, kind: ClassKind::Product { factors, truncation } },
-            Class { weight: 0.1, kind: ClassKind::Column },
+            ClassSpec { weight: 0.9, kind: ClassKind::Product { factors, truncation } },
+            ClassSpec { weight: 0.1, kind: ClassKind::Column },
         ]);
         assert_eq!(Ok(spec), expected);
     }
@@ -587,7 +587,7 @@ mod tests {
         ]
     }
 
-    fn class() -> impl Strategy<Value = Class> {
+    fn class() -> impl Strategy<Value = ClassSpec> {
         let size = 1..=MAX_LENGTH;
         let truncation = prop_oneof![
             (size.clone(), size.clone(), size)
@@ -600,7 +600,8 @@ mod tests {
             1 => Just(ClassKind::Column),
             1 => Just(ClassKind::Frame),
         ];
-        (prop_oneof![1e-9..1e9, Just(1.0)], kind).prop_map(|(weight, kind)| Class { weight, kind })
+        (prop_oneof![1e-9..1e9, Just(1.0)], kind)
+            .prop_map(|(weight, kind)| ClassSpec { weight, kind })
     }
 
     proptest! {

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::kernel::factor::Weights;
-use crate::kernel::grid::{Axis, Grid};
+use crate::kernel::grid::{Grid, GridAxis};
 use crate::kernel::spec::{ClassKind, DEFAULT_PERCENT, Factor, KernelSpec, MAX_LENGTH, Truncation};
 use crate::kernel::table::TableError;
 use crate::kernel::taps::{KernelTaps, Tap, TapsError};
@@ -270,8 +270,8 @@ impl Product {
             match factor.weights()? {
                 Weights::One => {}
                 Weights::Space { low, row } => {
-                    product.x = convolve(&product.x, &Grid::row(Axis::X, low, row.clone()))?;
-                    product.y = convolve(&product.y, &Grid::row(Axis::Y, low, row))?;
+                    product.x = convolve(&product.x, &Grid::row(GridAxis::X, low, row.clone()))?;
+                    product.y = convolve(&product.y, &Grid::row(GridAxis::Y, low, row))?;
                 }
                 Weights::Time(row) => product.time = convolve(&product.time, &row)?,
                 Weights::Table(table) => {

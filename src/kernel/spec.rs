@@ -119,7 +119,7 @@ pub enum ClassKind {
 
 /// One kernel of a mixture with its weight.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Class {
+pub struct ClassSpec {
     /// Share of the draws that take this kernel, relative to the other weights; from 1e−9 to 1e9.
     pub weight: f64,
     /// The kernel.
@@ -142,7 +142,7 @@ pub struct Class {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct KernelSpec {
-    classes: Vec<Class>,
+    classes: Vec<ClassSpec>,
 }
 
 /// Why a description is not a kernel.
@@ -216,8 +216,8 @@ impl KernelSpec {
     /// # Errors
     /// No classes or more than [`MAX_CLASSES`], a product without factors, or the first number
     /// outside the range given at its field.
-    pub fn new(classes: Vec<Class>) -> Result<Self, SpecProblem> {
-        let empty = |class: &Class| matches!(&class.kind, ClassKind::Product { factors, .. } if factors.is_empty());
+    pub fn new(classes: Vec<ClassSpec>) -> Result<Self, SpecProblem> {
+        let empty = |class: &ClassSpec| matches!(&class.kind, ClassKind::Product { factors, .. } if factors.is_empty());
         if classes.is_empty() || classes.len() > MAX_CLASSES || classes.iter().any(empty) {
             return Err(SpecProblem::Classes { classes: classes.len() });
         }
@@ -243,7 +243,7 @@ impl KernelSpec {
     }
 
     /// The classes in the order they were given.
-    pub fn classes(&self) -> &[Class] {
+    pub fn classes(&self) -> &[ClassSpec] {
         &self.classes
     }
 
@@ -259,7 +259,7 @@ impl KernelSpec {
         let mut factors = factors.clone();
         factors.push(factor);
         let kind = ClassKind::Product { factors, truncation: Some(truncation) };
-        Self::new(vec![Class { weight: 1.0, kind }])
+        Self::new(vec![ClassSpec { weight: 1.0, kind }])
     }
 }
 
@@ -428,10 +428,10 @@ impl fmt::Display for ClassKind {
 /// The weight is left out where there is one class of weight 1.
 impl fmt::Display for KernelSpec {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        if let [Class { weight: 1.0, kind }] = self.classes.as_slice() {
+        if let [ClassSpec { weight: 1.0, kind }] = self.classes.as_slice() {
             return write!(f, "{kind}");
         }
-        for (i, Class { weight, kind }) in self.classes.iter().enumerate() {
+        for (i, ClassSpec { weight, kind }) in self.classes.iter().enumerate() {
             write!(f, "{}{}: {kind}", if i == 0 { "" } else { " + " }, number(*weight))?;
         }
         Ok(())

@@ -34,14 +34,14 @@ pub fn accumulated_mean_square(shape: TileShape, errors: &[f32], window: usize) 
 
 #[cfg(test)]
 mod tests {
-    use super::super::stream::Stream;
+    use super::super::split_mix::SplitMix;
     use super::*;
 
     #[test]
     fn windows_slide_over_all_frames_and_wrap() {
         let (width, height, frames) = (3, 2, 5);
         let shape = TileShape::new(width, height, frames, 1, 1).unwrap();
-        let mut stream = Stream::new(&[1]);
+        let mut stream = SplitMix::new(&[1]);
         let errors: Vec<f32> =
             (0..shape.pixels()).map(|_| stream.range(-1.0, 1.0) as f32).collect();
         for window in 1..=frames {

@@ -217,7 +217,7 @@ impl Balls {
 mod tests {
     use proptest::prelude::*;
 
-    use super::super::stream::Stream;
+    use super::super::split_mix::SplitMix;
     use super::*;
 
     /// Volume of the half-space by inclusion and exclusion over the corners of the cube.
@@ -238,7 +238,7 @@ mod tests {
     proptest! {
         #[test]
         fn half_spaces_agree_with_inclusion_and_exclusion(seed: u64, dims in 1_usize..6) {
-            let mut stream = Stream::new(&[seed]);
+            let mut stream = SplitMix::new(&[seed]);
             // With small components the formula in this test is the one that is wrong.
             let normal: Vec<f64> = stream
                 .direction(dims)
@@ -253,7 +253,7 @@ mod tests {
 
         #[test]
         fn a_tiny_component_changes_little(seed: u64, tiny in 1e-4_f64..1e-3) {
-            let mut stream = Stream::new(&[seed]);
+            let mut stream = SplitMix::new(&[seed]);
             let mut normal = stream.direction(3);
             let offset = stream.range(0.0, 0.5);
             let flat = half_space(&normal, offset);
@@ -266,7 +266,7 @@ mod tests {
 
         #[test]
         fn opposite_half_spaces_fill_the_cube(seed: u64, dims in 1_usize..=16) {
-            let mut stream = Stream::new(&[seed]);
+            let mut stream = SplitMix::new(&[seed]);
             let normal = stream.direction(dims);
             let opposite: Vec<f64> = normal.iter().map(|n| -n).collect();
             let offset = stream.range(-0.5, 0.5);
@@ -302,7 +302,7 @@ mod tests {
 
     #[test]
     fn balls_that_leave_the_cube_do_not_depend_on_the_grid() {
-        let mut stream = Stream::new(&[3]);
+        let mut stream = SplitMix::new(&[3]);
         let (fine, coarse) = (Balls::new(), Balls::with_cells(CELLS / 2));
         for case in 0..48 {
             let dims = 3 + case % 14;
@@ -316,7 +316,7 @@ mod tests {
     #[test]
     fn balls_agree_with_slices() {
         // In 3 dimensions: the midpoint rule over disks, on centres with all their kinks.
-        let mut stream = Stream::new(&[5]);
+        let mut stream = SplitMix::new(&[5]);
         for _ in 0..16 {
             let centre = stream.point(3);
             let radius = stream.range(0.2, 0.9);
@@ -335,7 +335,7 @@ mod tests {
 
     #[test]
     fn disks_agree_with_columns() {
-        let mut stream = Stream::new(&[6]);
+        let mut stream = SplitMix::new(&[6]);
         for _ in 0..16 {
             let (x, y, r) = (stream.uniform(), stream.uniform(), stream.range(0.1, 1.5));
             let n = 200_000;

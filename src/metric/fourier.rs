@@ -26,7 +26,7 @@ pub(super) struct FieldTransform<T: FftNum> {
 }
 
 /// What a transform works in; lent by the caller, so that transforming allocates nothing.
-pub(super) struct Workspace<T> {
+pub(super) struct FourierWorkspace<T> {
     /// The result after [`FieldTransform::transform`].
     pub(super) spectrum: Vec<Complex<T>>,
     other: Vec<Complex<T>>,
@@ -59,7 +59,7 @@ impl<T: FftNum> FieldTransform<T> {
     }
 
     /// A workspace for this plan.
-    pub(super) fn workspace(&self) -> Workspace<T> {
+    pub(super) fn workspace(&self) -> FourierWorkspace<T> {
         let zero = Complex::new(T::zero(), T::zero());
         let scratch = self
             .across
@@ -67,7 +67,7 @@ impl<T: FftNum> FieldTransform<T> {
             .max(self.down.get_inplace_scratch_len())
             .max(self.time.get_inplace_scratch_len());
         let len = self.columns() * self.height * self.frames;
-        Workspace {
+        FourierWorkspace {
             spectrum: vec![zero; len],
             other: vec![zero; len],
             scratch: vec![zero; scratch],
@@ -79,8 +79,8 @@ impl<T: FftNum> FieldTransform<T> {
     ///
     /// # Panics
     /// If the lengths are not those of the plan.
-    pub(super) fn transform(&self, field: &mut [T], workspace: &mut Workspace<T>) {
-        let Workspace { spectrum, other, scratch } = workspace;
+    pub(super) fn transform(&self, field: &mut [T], workspace: &mut FourierWorkspace<T>) {
+        let FourierWorkspace { spectrum, other, scratch } = workspace;
         let columns = self.columns();
         assert_eq!(field.len(), self.width * self.height * self.frames, "field of the plan");
         for (row, result) in field.chunks_exact_mut(self.width).zip(other.chunks_exact_mut(columns))
@@ -122,13 +122,13 @@ fn transpose<T: Copy>(from: &[T], to: &mut [T], rows: usize, columns: usize) {
 mod tests {
     use std::f64::consts::TAU;
 
-    use super::super::stream::Stream;
+    use super::super::split_mix::SplitMix;
     use super::*;
 
     #[test]
     fn the_transform_is_its_definition() {
         for (width, height, frames) in [(4, 3, 2), (5, 2, 3), (1, 4, 1), (2, 1, 5), (1, 1, 1)] {
-            let mut stream = Stream::new(&[9]);
+            let mut stream = SplitMix::new(&[9]);
             let field = stream.point(width * height * frames);
             let plan = FieldTransform::<f64>::new(width, height, frames);
             let mut workspace = plan.workspace();

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::exact::{self, Balls};
-use super::stream::Stream;
+use super::split_mix::SplitMix;
 use crate::tile::Tile;
 
 /// Integrands with less variance than this over the cube are drawn again, half-spaces that miss
@@ -115,7 +115,7 @@ impl Integrand {
         index: usize,
     ) -> Self {
         let key = [set, class as u64, domain as u64, dims as u64, index as u64];
-        let mut stream = Stream::new(&key);
+        let mut stream = SplitMix::new(&key);
         // Every class has a fixed chance of at least a tenth to pass, so this ends.
         loop {
             let coordinates = match domain {
@@ -137,7 +137,7 @@ impl Integrand {
     /// One try; `None` if its integral is not known well enough.
     fn attempt(
         balls: &Balls,
-        stream: &mut Stream,
+        stream: &mut SplitMix,
         class: Class,
         mut dims: Vec<usize>,
     ) -> Option<Self> {

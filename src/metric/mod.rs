@@ -3,32 +3,33 @@
 //! `integrand` draws the functions on which tiles are tried, `exact` knows their integrals;
 //! `perceived` measures the error that the eye sees through a kernel (with `fourier`),
 //! `accumulation` what is left of it when frames are averaged, `uniformity` how evenly the whole
-//! tile covers the cube; `scores` puts them together, and `entry` those of a tile under its name.
+//! tile covers the cube; `scores` puts them together, and `scored_tile` those of a tile under
+//! its name.
 //! `spectrum` shows where the error's power is, `baseline` makes tiles to compare with, and
 //! `quantization` what integer textures make of a tile. Lower is better throughout, and white
 //! noise stands at 1.
 
 mod accumulation;
 mod baseline;
-mod entry;
 mod error;
 mod exact;
 mod fourier;
 mod integrand;
 mod perceived;
 mod quantization;
+mod scored_tile;
 mod scores;
 mod spectrum;
-mod stream;
+mod split_mix;
 mod uniformity;
 
 pub use accumulation::accumulated_mean_square;
 pub use baseline::{Baseline, UnknownBaseline};
-pub use entry::{Entry, Part};
 pub use error::ScoreError;
 pub use integrand::{Class, Domain, Integrand, IntegrandSet, LEAST_VARIANCE, integrand_sets};
 pub use perceived::{MeanSquares, Perceived, PerceivedWorkspace};
 pub use quantization::quantized;
+pub use scored_tile::{ScoredTile, ShownScore};
 pub use scores::{ClassScore, Ratio, ScoreOptions, Scorer, Scores};
 pub use spectrum::{ClassSpectra, Ring, Spectrum, spectra};
 pub use uniformity::{Histogram, PairHistogram, histogram, marginals, pair_histograms, residual};

@@ -5,7 +5,7 @@
 //! Σ |ĝ|²|ê|² over the frequencies, and |ĝ|² is computed once for a tile's shape.
 
 use super::error::ScoreError;
-use super::fourier::{FieldTransform, Workspace};
+use super::fourier::{FieldTransform, FourierWorkspace};
 use crate::kernel::KernelTaps;
 use crate::tile::TileShape;
 
@@ -25,7 +25,7 @@ pub struct Perceived {
 }
 
 /// What one image needs while it is measured.
-pub struct PerceivedWorkspace(Workspace<f32>);
+pub struct PerceivedWorkspace(FourierWorkspace<f32>);
 
 /// The filtered mean squares of one error image.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -134,7 +134,7 @@ mod tests {
     use glam::IVec3;
     use proptest::prelude::*;
 
-    use super::super::stream::Stream;
+    use super::super::split_mix::SplitMix;
     use super::*;
     use crate::kernel::Tap;
 
@@ -173,7 +173,7 @@ mod tests {
         }
     }
 
-    fn random_kernel(stream: &mut Stream, size: [usize; 3]) -> KernelTaps {
+    fn random_kernel(stream: &mut SplitMix, size: [usize; 3]) -> KernelTaps {
         let mut taps = Vec::new();
         for z in 0..size[2] as i32 {
             for y in 0..size[1] as i32 {
@@ -200,7 +200,7 @@ mod tests {
             kernel in [1_usize..=9, 1_usize..=8, 1_usize..=7],
         ) {
             let shape = TileShape::new(width, height, frames, 1, 1).unwrap();
-            let mut stream = Stream::new(&[seed]);
+            let mut stream = SplitMix::new(&[seed]);
             let size = [kernel[0].min(width), kernel[1].min(height), kernel[2].min(frames)];
             let taps = random_kernel(&mut stream, size);
             let errors: Vec<f32> =

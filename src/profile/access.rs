@@ -56,14 +56,14 @@ impl Arrangement {
 /// In which order a step's draws are done.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Order {
+pub enum DrawOrder {
     /// Cell by cell and in the cell by place, as the run does them.
     Sorted,
     /// All over the tile. Where cells have copies, each has one of its own.
     Unsorted,
 }
 
-impl Order {
+impl DrawOrder {
     /// Both.
     pub const ALL: [Self; 2] = [Self::Sorted, Self::Unsorted];
 
@@ -78,7 +78,7 @@ impl Order {
 
 /// What an access is for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub enum Part {
+pub enum Purpose {
     /// Reading the samples of a draw.
     Gather,
     /// Adding the pulls of a draw.
@@ -101,7 +101,7 @@ pub struct Access {
     /// Whether it writes.
     pub write: bool,
     /// What it is for.
-    pub part: Part,
+    pub purpose: Purpose,
 }
 
 /// Hears what a step accesses.
@@ -166,7 +166,7 @@ const ALIGNMENT: u64 = 4096;
 pub struct Streams<'a> {
     subject: &'a Subject,
     arrangement: Arrangement,
-    order: Order,
+    order: DrawOrder,
     overlap: Overlap,
     /// First byte of each array.
     samples: u64,
@@ -185,7 +185,7 @@ pub struct Streams<'a> {
 
 impl<'a> Streams<'a> {
     /// Lays out the arrays.
-    pub fn new(subject: &'a Subject, arrangement: Arrangement, order: Order) -> Self {
+    pub fn new(subject: &'a Subject, arrangement: Arrangement, order: DrawOrder) -> Self {
         let mut end = 0;
         let mut array = |words: usize| {
             let start = end;
@@ -221,7 +221,7 @@ impl<'a> Streams<'a> {
             let placements: Vec<Placement> = placements.collect();
             // In order, all cells use the same memory for their copies.
             let most = placements.iter().map(|placement| placement.words).max().unwrap_or(0);
-            let shared = (order == Order::Sorted).then(|| (array(most), array(most)));
+            let shared = (order == DrawOrder::Sorted).then(|| (array(most), array(most)));
             for placement in placements {
                 let words = placement.words;
                 let (x, g) = shared.unwrap_or_else(|| (array(words), array(words)));
@@ -261,7 +261,7 @@ impl<'a> Streams<'a> {
     pub fn draws(&self, draws: &StepDraws, listener: &mut impl Listener) {
         let mut runs = Vec::new();
         match self.order {
-            Order::Sorted => {
+            DrawOrder::Sorted => {
                 let mut block = None;
                 for (cell, draws) in &draws.cells {
                     if block != Some(self.blocks[*cell]) {
@@ -273,7 +273,7 @@ impl<'a> Streams<'a> {
                     self.copy_out(*cell, listener);
                 }
             }
-            Order::Unsorted => {
+            DrawOrder::Unsorted => {
                 let mut blocks: Vec<usize> =
                     draws.cells.iter().map(|(cell, _)| self.blocks[*cell]).collect();
                 blocks.dedup();
@@ -305,7 +305,13 @@ impl<'a> Streams<'a> {
         let from = shape.height().saturating_sub(lines);
         let mut emit = |address, bytes: u64, write| {
             let bytes = bytes as u32;
-            listener.access(Access { address, bytes, touched: bytes, write, part: Part::Update });
+            listener.access(Access {
+                address,
+                bytes,
+                touched: bytes,
+                write,
+                purpose: Purpose::Update,
+            });
         };
         for (y, t) in (from..shape.height()).flat_map(|y| (0..frames).map(move |t| (y, t))) {
             let own = (y * frames + t) as u64 * row;
@@ -341,8 +347,8 @@ impl<'a> Streams<'a> {
         let bytes = (block_words.stride() as u64 * WORD) as u32;
         for row in 0..(block_words.words() / block_words.stride()) as u64 {
             let address = self.patches[block] + row * u64::from(bytes);
-            let (touched, write, part) = (bytes, true, Part::Update);
-            listener.access(Access { address, bytes, touched, write, part });
+            let (touched, write, purpose) = (bytes, true, Purpose::Update);
+            listener.access(Access { address, bytes, touched, write, purpose });
         }
     }
 
@@ -389,17 +395,17 @@ impl<'a> Streams<'a> {
     fn copy_in(&self, cell: usize, listener: &mut impl Listener) {
         let Some(&(ref placement, samples, gradient)) = self.copies.get(cell) else { return };
         let pixel = self.subject.rows().pixel() as u64 * WORD;
-        let (part, line) = (Part::Copy, 64);
+        let (purpose, line) = (Purpose::Copy, 64);
         let whole = placement.words as u64 * WORD;
         for address in (gradient..gradient + whole).step_by(line as usize) {
             let bytes = line.min((gradient + whole - address) as u32);
-            listener.access(Access { address, bytes, touched: bytes, write: true, part });
+            listener.access(Access { address, bytes, touched: bytes, write: true, purpose });
         }
         let touched = pixel as u32;
         for [from, _, to] in self.copied(cell) {
             let bytes = touched;
-            listener.access(Access { address: from, bytes, touched, write: false, part });
-            listener.access(Access { address: samples + to, bytes, touched, write: true, part });
+            listener.access(Access { address: from, bytes, touched, write: false, purpose });
+            listener.access(Access { address: samples + to, bytes, touched, write: true, purpose });
         }
     }
 
@@ -407,10 +413,10 @@ impl<'a> Streams<'a> {
     fn copy_out(&self, cell: usize, listener: &mut impl Listener) {
         let Some(&(_, _, gradient)) = self.copies.get(cell) else { return };
         let bytes = (self.subject.rows().pixel() as u64 * WORD) as u32;
-        let (touched, part) = (bytes, Part::Copy);
+        let (touched, purpose) = (bytes, Purpose::Copy);
         for [_, patch, from] in self.copied(cell) {
             let mut emit = |address, write| {
-                listener.access(Access { address, bytes, touched, write, part });
+                listener.access(Access { address, bytes, touched, write, purpose });
             };
             emit(gradient + from, false);
             emit(patch, false);
@@ -421,28 +427,28 @@ impl<'a> Streams<'a> {
     /// A draw reads its samples, then adds to their gradient.
     fn draw(&self, cell: usize, draw: &Draw, scratch: &mut Vec<Run>, to: &mut impl Listener) {
         let runs = self.subject.runs().of(draw.set as usize, draw.taps as usize, scratch);
-        let mut emit = |address, bytes, touched, part| {
-            to.access(Access { address, bytes, touched, write: false, part });
-            if part == Part::Scatter {
-                to.access(Access { address, bytes, touched, write: true, part });
+        let mut emit = |address, bytes, touched, purpose| {
+            to.access(Access { address, bytes, touched, write: false, purpose });
+            if purpose == Purpose::Scatter {
+                to.access(Access { address, bytes, touched, write: true, purpose });
             }
         };
-        for part in [Part::Gather, Part::Scatter] {
+        for purpose in [Purpose::Gather, Purpose::Scatter] {
             for &run in runs {
-                self.run(cell, draw, run, part, &mut emit);
+                self.run(cell, draw, run, purpose, &mut emit);
             }
         }
         to.drawn();
     }
 
-    /// Calls `emit(address, bytes, touched, part)` for the memory of a run.
+    /// Calls `emit(address, bytes, touched, purpose)` for the memory of a run.
     fn run(
         &self,
         cell: usize,
         draw: &Draw,
         run: Run,
-        part: Part,
-        emit: &mut impl FnMut(u64, u32, u32, Part),
+        purpose: Purpose,
+        emit: &mut impl FnMut(u64, u32, u32, Purpose),
     ) {
         /// Bytes that are moved at a time, see `gradient::memory`.
         const REGISTERS: u32 = 64;
@@ -461,19 +467,19 @@ impl<'a> Streams<'a> {
                 let place = self.subject.partition().cell(cell);
                 let y = around((place.y + y) as i64 - reach.up as i64, shape.height());
                 let mut x = around((place.x + x) as i64 - reach.left as i64, shape.width());
-                let base = if part == Part::Gather { self.samples } else { self.gradient };
+                let base = if purpose == Purpose::Gather { self.samples } else { self.gradient };
                 let mut left = len;
                 while left > 0 {
                     let here = left.min(shape.width() - x);
                     let word = (shape.pixel(x, y, t) * pixel) as u64;
-                    emit(base + word * WORD, bytes(here), bytes(here), part);
+                    emit(base + word * WORD, bytes(here), bytes(here), purpose);
                     (x, left) = (0, left - here);
                 }
             }
             Arrangement::Rows => {
                 let [samples, patch] = self.corner(cell);
                 let block = self.blocks[cell];
-                let (base, corner, stride) = if part == Part::Gather {
+                let (base, corner, stride) = if purpose == Purpose::Gather {
                     (self.samples, samples, rows.stride())
                 } else {
                     (self.patches[block], patch, self.subject.blocks()[block].stride())
@@ -481,14 +487,14 @@ impl<'a> Streams<'a> {
                 let word = corner + (y * frames + t) * stride + x * pixel;
                 let wanted = bytes(len);
                 let touched = wanted.next_multiple_of(REGISTERS);
-                emit(base + word as u64 * WORD, wanted, touched, part);
+                emit(base + word as u64 * WORD, wanted, touched, purpose);
             }
             Arrangement::Bricks | Arrangement::Curve => {
                 let &(ref placement, samples, gradient) = &self.copies[cell];
-                let base = if part == Part::Gather { samples } else { gradient };
+                let base = if purpose == Purpose::Gather { samples } else { gradient };
                 for x in x..x + len {
                     let word = placement.word(x, y, t) as u64;
-                    emit(base + word * WORD, bytes(1), bytes(1), part);
+                    emit(base + word * WORD, bytes(1), bytes(1), purpose);
                 }
             }
         }
@@ -504,7 +510,7 @@ pub struct Behaviour {
     /// How samples and gradient lie.
     pub arrangement: Arrangement,
     /// In which order draws are done.
-    pub order: Order,
+    pub order: DrawOrder,
     /// Draws that all this is a mean of.
     pub draws: u64,
     /// Distinct lines of a draw's samples; its gradient lies on as many.
@@ -539,7 +545,7 @@ struct Models {
     reuse: Reuse,
     /// Whether this step counts.
     counting: bool,
-    part: Part,
+    purpose: Purpose,
     before: Misses,
     sums: [Misses; 4],
     wanted: u64,
@@ -558,7 +564,7 @@ impl Models {
             samples: Footprint::new(line)?,
             reuse: Reuse::new(line)?,
             counting: false,
-            part: Part::Update,
+            purpose: Purpose::Update,
             before: [0.0; 3],
             sums: Default::default(),
             wanted: 0,
@@ -570,33 +576,33 @@ impl Models {
         })
     }
 
-    /// What was missed since the last call was missed by the part until now.
-    fn settle(&mut self, next: Part) {
+    /// What was missed since the last call was missed for the purpose until now.
+    fn settle(&mut self, next: Purpose) {
         let mut now = [0.0; 3];
         for (now, (_, counts)) in now.iter_mut().zip(self.caches.counts()) {
             *now = Counts::misses(&counts) as f64;
         }
         if self.counting {
             for (sum, (now, before)) in
-                self.sums[self.part as usize].iter_mut().zip(now.into_iter().zip(self.before))
+                self.sums[self.purpose as usize].iter_mut().zip(now.into_iter().zip(self.before))
             {
                 *sum += now - before;
             }
         }
-        (self.before, self.part) = (now, next);
+        (self.before, self.purpose) = (now, next);
     }
 }
 
 impl Listener for Models {
     fn access(&mut self, access: Access) {
-        if access.part != self.part {
-            self.settle(access.part);
+        if access.purpose != self.purpose {
+            self.settle(access.purpose);
         }
         self.caches.access(access.address, access.touched, access.write);
-        if self.counting && matches!(access.part, Part::Gather | Part::Scatter) {
+        if self.counting && matches!(access.purpose, Purpose::Gather | Purpose::Scatter) {
             self.reuse.access(access.address, access.touched);
         }
-        if self.counting && access.part == Part::Gather {
+        if self.counting && access.purpose == Purpose::Gather {
             self.samples.access(access.address, access.bytes);
             self.wanted += u64::from(access.bytes);
         }
@@ -647,7 +653,7 @@ pub fn compare(subject: &Subject, levels: &[CacheLevel; 3]) -> Result<Vec<Behavi
         copied += 6 * subject.sizes().window * draws.cells.len() as u64;
         steps.push(draws);
     }
-    let pairs = Arrangement::ALL.into_iter().flat_map(|a| Order::ALL.map(|order| (a, order)));
+    let pairs = Arrangement::ALL.into_iter().flat_map(|a| DrawOrder::ALL.map(|order| (a, order)));
     pairs
         .map(|(arrangement, order)| behaviour(subject, levels, arrangement, order, &steps))
         .collect()
@@ -657,7 +663,7 @@ fn behaviour(
     subject: &Subject,
     levels: &[CacheLevel; 3],
     arrangement: Arrangement,
-    order: Order,
+    order: DrawOrder,
     steps: &[StepDraws],
 ) -> Result<Behaviour, CacheError> {
     let enough = 4 * levels[2].bytes.min(LARGEST);
@@ -666,13 +672,13 @@ fn behaviour(
     for (step, draws) in steps.iter().enumerate() {
         models.counting = step > 0;
         streams.draws(draws, &mut models);
-        models.settle(Part::Update);
+        models.settle(Purpose::Update);
         models.counting = false;
         streams.update(enough, &mut models);
-        models.settle(Part::Update);
+        models.settle(Purpose::Update);
     }
     let draws = models.draws.max(1) as f64;
-    let mean = |part: Part| models.sums[part as usize].map(|sum| sum / draws);
+    let mean = |purpose: Purpose| models.sums[purpose as usize].map(|sum| sum / draws);
     Ok(Behaviour {
         arrangement,
         order,
@@ -680,9 +686,9 @@ fn behaviour(
         lines: models.lines as f64 / draws,
         pages: models.pages as f64 / draws,
         ratio: models.lines as f64 / models.fewest.max(1) as f64,
-        gather: mean(Part::Gather),
-        scatter: mean(Part::Scatter),
-        copy: mean(Part::Copy),
+        gather: mean(Purpose::Gather),
+        scatter: mean(Purpose::Scatter),
+        copy: mean(Purpose::Copy),
         reuse: models.reuse.histogram().clone(),
         measured: None,
     })

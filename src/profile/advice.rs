@@ -1,6 +1,6 @@
 //! Sentences that say what the numbers of a profile mean, and what to try.
 
-use super::access::{Arrangement, Behaviour, Order};
+use super::access::{Arrangement, Behaviour, DrawOrder};
 use super::roofline::{Bound, Rates, Store};
 use super::row::StageRow;
 use super::subject::Sizes;
@@ -47,7 +47,7 @@ impl Evidence<'_> {
         self.stages.iter().find(|row| row.stage == stage.name()).map_or(0.0, |row| row.share)
     }
 
-    fn behaviour(&self, arrangement: Arrangement, order: Order) -> Option<&Behaviour> {
+    fn behaviour(&self, arrangement: Arrangement, order: DrawOrder) -> Option<&Behaviour> {
         self.layouts.iter().find(|row| (row.arrangement, row.order) == (arrangement, order))
     }
 }
@@ -100,7 +100,7 @@ fn longest(row: &StageRow, rates: &Rates) -> String {
 
 /// The level whose misses cost the draws most, and the layout that has fewest of them.
 fn misses(evidence: &Evidence<'_>) -> Option<String> {
-    let rows = evidence.behaviour(Arrangement::Rows, Order::Sorted)?;
+    let rows = evidence.behaviour(Arrangement::Rows, DrawOrder::Sorted)?;
     let moving = evidence.share(Stage::Gather) + evidence.share(Stage::Scatter);
     let stage = if rows.scatter.iter().sum::<f64>() >= rows.gather.iter().sum::<f64>() {
         Stage::Scatter
@@ -122,7 +122,7 @@ fn misses(evidence: &Evidence<'_>) -> Option<String> {
         stage.name()
     );
     let others = [Arrangement::Bricks, Arrangement::Curve, Arrangement::Linear];
-    let others = others.iter().filter_map(|&other| evidence.behaviour(other, Order::Sorted));
+    let others = others.iter().filter_map(|&other| evidence.behaviour(other, DrawOrder::Sorted));
     let best = others.min_by(|a, b| a.misses()[level].total_cmp(&b.misses()[level]))?;
     let left = best.misses()[level] / of[level];
     let name = best.arrangement.name();
@@ -148,8 +148,8 @@ fn misses(evidence: &Evidence<'_>) -> Option<String> {
 
 /// What sorting the draws saves.
 fn order(evidence: &Evidence<'_>) -> Option<String> {
-    let sorted = evidence.behaviour(Arrangement::Rows, Order::Sorted)?.misses();
-    let unsorted = evidence.behaviour(Arrangement::Rows, Order::Unsorted)?.misses();
+    let sorted = evidence.behaviour(Arrangement::Rows, DrawOrder::Sorted)?.misses();
+    let unsorted = evidence.behaviour(Arrangement::Rows, DrawOrder::Unsorted)?.misses();
     let level = (0..3).max_by(|&a, &b| {
         let saved = |level: usize| (unsorted[level] - sorted[level]) * LATENCIES[level];
         saved(a).total_cmp(&saved(b))
@@ -238,7 +238,7 @@ fn waiting(evidence: &Evidence<'_>) -> Option<String> {
 mod tests {
     use super::*;
     use crate::profile::cache::ReuseHistogram;
-    use crate::profile::roofline::{Bandwidth, Placement};
+    use crate::profile::roofline::{Bandwidth, RooflinePoint};
     use crate::profile::traffic::Traffic;
 
     const SIZES: Sizes = Sizes {
@@ -262,7 +262,7 @@ mod tests {
             share,
             traffic: Traffic::default(),
             store: Store::L1,
-            placement: Some(Placement {
+            placement: Some(RooflinePoint {
                 intensity: Some(1.0),
                 attainable: 1.0,
                 attained: of_roof,
@@ -273,7 +273,7 @@ mod tests {
         Stage::ALL.into_iter().zip(shares).map(row).collect()
     }
 
-    fn behaviour(arrangement: Arrangement, order: Order, misses: [f64; 3]) -> Behaviour {
+    fn behaviour(arrangement: Arrangement, order: DrawOrder, misses: [f64; 3]) -> Behaviour {
         Behaviour {
             arrangement,
             order,
@@ -329,7 +329,7 @@ mod tests {
         rates.l1.measured = false;
         let compute = longest(&row, &rates);
         assert!(compute.contains("bound by the rate of operations (70 % of it)"), "{compute}");
-        row.placement = row.placement.map(|it| Placement { bound: Bound::Memory, ..it });
+        row.placement = row.placement.map(|it| RooflinePoint { bound: Bound::Memory, ..it });
         let measured = longest(&row, &RATES);
         assert!(measured.contains("bound by the bandwidth of L1 (70 % of it)"), "{measured}");
         let unknown = longest(&row, &rates);
@@ -356,9 +356,9 @@ mod tests {
     #[test]
     fn a_layout_is_advised_if_it_saves_the_misses_that_cost() {
         let shares = [0.0, 0.3, 0.1, 0.1, 0.1, 0.3, 0.05, 0.05, 0.0];
-        let rows = behaviour(Arrangement::Rows, Order::Sorted, [10.0, 8.0, 0.0]);
+        let rows = behaviour(Arrangement::Rows, DrawOrder::Sorted, [10.0, 8.0, 0.0]);
         let with = |arrangement, misses| {
-            let other = behaviour(arrangement, Order::Sorted, misses);
+            let other = behaviour(arrangement, DrawOrder::Sorted, misses);
             say(&stages(shares, 0.2), &[rows.clone(), other], &SIZES)
         };
         let text = with(Arrangement::Bricks, [9.0, 4.0, 0.0]);
@@ -374,8 +374,8 @@ mod tests {
 
     #[test]
     fn what_is_not_missed_needs_no_advice() {
-        let rows = behaviour(Arrangement::Rows, Order::Sorted, [0.0; 3]);
-        let unsorted = behaviour(Arrangement::Rows, Order::Unsorted, [0.0; 3]);
+        let rows = behaviour(Arrangement::Rows, DrawOrder::Sorted, [0.0; 3]);
+        let unsorted = behaviour(Arrangement::Rows, DrawOrder::Unsorted, [0.0; 3]);
         let text = say(&stages([0.1; 9], 0.2), &[rows, unsorted], &SIZES);
         assert!(
             text.contains("is in the caches near the core") && !text.contains("order"),
@@ -386,8 +386,8 @@ mod tests {
     #[test]
     fn order_is_praised_for_what_it_saves() {
         let of = |misses| {
-            let sorted = behaviour(Arrangement::Rows, Order::Sorted, [5.0, 1.0, 1.0]);
-            let unsorted = behaviour(Arrangement::Rows, Order::Unsorted, misses);
+            let sorted = behaviour(Arrangement::Rows, DrawOrder::Sorted, [5.0, 1.0, 1.0]);
+            let unsorted = behaviour(Arrangement::Rows, DrawOrder::Unsorted, misses);
             say(&stages([0.1; 9], 0.2), &[sorted, unsorted], &SIZES)
         };
         assert!(of([5.0, 4.0, 1.0]).contains("saves 75 % of the L2 misses"));

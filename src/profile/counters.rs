@@ -129,22 +129,22 @@ impl Counters {
     }
 
     /// The counters now, to compare with later.
-    pub fn snapshot(&mut self) -> Snapshot {
+    pub fn snapshot(&mut self) -> CounterSnapshot {
         let read = |(event, counter): &mut (Event, Result<system::Counter, String>)| {
             let sample = counter.as_mut().map_err(|reason| reason.clone());
             (*event, sample.and_then(system::Counter::read))
         };
-        Snapshot { samples: self.counters.iter_mut().map(read).collect() }
+        CounterSnapshot { samples: self.counters.iter_mut().map(read).collect() }
     }
 }
 
 /// All counters at one moment.
 #[derive(Debug, Clone)]
-pub struct Snapshot {
+pub struct CounterSnapshot {
     samples: Vec<(Event, Result<Sample, String>)>,
 }
 
-impl Snapshot {
+impl CounterSnapshot {
     /// What happened since an earlier snapshot of the same counters, in the order of
     /// [`Event::ALL`].
     pub fn since(&self, earlier: &Self) -> Vec<(Event, Reading)> {

@@ -6,7 +6,7 @@ use std::convert::Infallible;
 use plotters::coord::Shift;
 use plotters::prelude::*;
 
-use super::access::{Arrangement, Behaviour, Order};
+use super::access::{Arrangement, Behaviour, DrawOrder};
 use super::report::Profile;
 use super::roofline::Store;
 
@@ -160,7 +160,7 @@ fn roofs(profile: &Profile, area: &DrawingArea<SVGBackend, Shift>) -> Result<(),
 /// Shares of uses of lines by their distance, with the caches' sizes.
 fn distances(profile: &Profile, area: &DrawingArea<SVGBackend, Shift>) -> Result<(), PictureError> {
     let of = |order| profile.behaviour(Arrangement::Rows, order);
-    let (Some(sorted), Some(unsorted)) = (of(Order::Sorted), of(Order::Unsorted)) else {
+    let (Some(sorted), Some(unsorted)) = (of(DrawOrder::Sorted), of(DrawOrder::Unsorted)) else {
         return Ok(());
     };
     let shares = |behaviour: &Behaviour| -> Vec<f64> {

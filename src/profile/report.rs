@@ -7,7 +7,7 @@ use perceptile_cluster::shared::MapError;
 use serde::Serialize;
 use thiserror::Error;
 
-use super::access::{self, Arrangement, Behaviour, Order};
+use super::access::{self, Arrangement, Behaviour, DrawOrder};
 use super::advice::{self, Evidence};
 use super::cache::CacheError;
 use super::counters::{Counters, Event, Reading};
@@ -130,7 +130,7 @@ impl Profile {
         let mut layouts = access::compare(subject, &levels)?;
         let per_draw =
             |timing: Timing| timing.seconds * 1e9 * subject.threads() as f64 / draws as f64;
-        for behaviour in layouts.iter_mut().filter(|layout| layout.order == Order::Sorted) {
+        for behaviour in layouts.iter_mut().filter(|layout| layout.order == DrawOrder::Sorted) {
             behaviour.measured = match (behaviour.arrangement, behaviour.arrangement.layout()) {
                 (_, None) => None,
                 (Arrangement::Rows, _) => Some(per_draw(whole)),
@@ -341,7 +341,7 @@ impl fmt::Display for Profile {
              measured time of a whole step and all threads)"
         )?;
 
-        if let Some(rows) = self.behaviour(Arrangement::Rows, Order::Sorted) {
+        if let Some(rows) = self.behaviour(Arrangement::Rows, DrawOrder::Sorted) {
             let all = rows.reuse.cold + rows.reuse.bins.iter().sum::<u64>();
             let share = |uses: u64| 100.0 * uses as f64 / all.max(1) as f64;
             writeln!(f, "\nreuse of lines by draws (rows, sorted), by lines used in between")?;
@@ -379,7 +379,7 @@ impl fmt::Display for Profile {
 
 impl Profile {
     /// What an arrangement and an order cost.
-    pub fn behaviour(&self, arrangement: Arrangement, order: Order) -> Option<&Behaviour> {
+    pub fn behaviour(&self, arrangement: Arrangement, order: DrawOrder) -> Option<&Behaviour> {
         self.layouts.iter().find(|row| (row.arrangement, row.order) == (arrangement, order))
     }
 }

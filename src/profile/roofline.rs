@@ -211,7 +211,7 @@ pub enum Bound {
 
 /// A phase under its ceiling.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Placement {
+pub struct RooflinePoint {
     /// Operations for each byte; none if there are no bytes.
     pub intensity: Option<f64>,
     /// Operations per second that this intensity allows.
@@ -230,7 +230,7 @@ impl Ceiling {
     ///
     /// # Errors
     /// If the phase did nothing or took no time, or a number is negative or not finite.
-    pub fn place(&self, work: Work) -> Result<Placement, RooflineError> {
+    pub fn place(&self, work: Work) -> Result<RooflinePoint, RooflineError> {
         let Work { operations, bytes, seconds } = work;
         let numbers = [operations, bytes, seconds].iter().all(|x| x.is_finite() && *x >= 0.0);
         if !numbers || seconds == 0.0 || operations + bytes == 0.0 {
@@ -239,7 +239,7 @@ impl Ceiling {
         let (computing, moving) = (operations / self.compute, bytes / self.bandwidth);
         let intensity = (bytes > 0.0).then(|| operations / bytes);
         let slope = intensity.map_or(f64::INFINITY, |intensity| intensity * self.bandwidth);
-        Ok(Placement {
+        Ok(RooflinePoint {
             intensity,
             attainable: self.compute.min(slope),
             attained: operations / seconds,
@@ -311,19 +311,19 @@ fn done(marks: &[Mark], at: f64) -> f64 {
 /// As much as processors move at once, so that no move straddles two lines of a cache.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(align(64))]
-struct Line([u64; 8]);
+struct CacheLine([u64; 8]);
 
 /// The two arrays of a thread.
 struct Lane {
-    source: Vec<Line>,
-    target: Vec<Line>,
+    source: Vec<CacheLine>,
+    target: Vec<CacheLine>,
     batches: u64,
 }
 
 impl Lane {
     fn new(lines: usize) -> Self {
-        let source = (0..lines as u64).map(|i| Line([i; 8])).collect();
-        Self { source, target: vec![Line([u64::MAX; 8]); lines], batches: 0 }
+        let source = (0..lines as u64).map(|i| CacheLine([i; 8])).collect();
+        Self { source, target: vec![CacheLine([u64::MAX; 8]); lines], batches: 0 }
     }
 
     /// Copies all of it so many times; returns whether something new arrived.
@@ -356,7 +356,7 @@ struct Copying {
 impl Copying {
     /// Arrays of `bytes` bytes in all, at least a line in each.
     fn new(pool: &ThreadPool, bytes: u64) -> Self {
-        let pair = (2 * size_of::<Line>()) as u64;
+        let pair = (2 * size_of::<CacheLine>()) as u64;
         let lines = (bytes / pair / pool.current_num_threads() as u64).max(1);
         // Each thread makes its own, so that they are in the memory nearest to it.
         let lanes = pool.broadcast(|_| Mutex::new(Lane::new(lines as usize)));
@@ -368,7 +368,7 @@ impl Copying {
         let right = AtomicBool::new(true);
         let lane =
             |thread: usize| self.lanes[thread].lock().unwrap_or_else(|lane| lane.into_inner());
-        let bytes = (2 * size_of::<Line>()) as f64 * self.lines as f64;
+        let bytes = (2 * size_of::<CacheLine>()) as f64 * self.lines as f64;
         let rate = best(pool, DURATION, bytes, |thread, repeats| {
             if !lane(thread).copy(repeats) {
                 right.store(false, Ordering::Relaxed);
@@ -444,7 +444,7 @@ mod tests {
 
     const CEILING: Ceiling = Ceiling { compute: 100e9, bandwidth: 20e9 };
 
-    fn place(operations: f64, bytes: f64, seconds: f64) -> Placement {
+    fn place(operations: f64, bytes: f64, seconds: f64) -> RooflinePoint {
         CEILING.place(Work { operations, bytes, seconds }).unwrap()
     }
 

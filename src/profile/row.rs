@@ -3,7 +3,7 @@
 
 use serde::Serialize;
 
-use super::roofline::{Bound, Placement, Store};
+use super::roofline::{Bound, RooflinePoint, Store};
 use super::subject::Sizes;
 use super::traffic::Traffic;
 use crate::gradient::probe::Stage;
@@ -25,7 +25,7 @@ pub struct StageRow {
     /// Where most of its data should be.
     pub store: Store,
     /// Where it stands under the roofline of that store; nowhere if it does not work.
-    pub placement: Option<Placement>,
+    pub placement: Option<RooflinePoint>,
 }
 
 impl StageRow {

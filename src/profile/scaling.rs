@@ -2,7 +2,7 @@
 //! with regions, from costs that are measured on this machine.
 //!
 //! A rank is a machine of T threads that owns a region of n pixels, of the N of the tile. Its step
-//! is, in seconds, the sum of these [`Parts`]:
+//! is, in seconds, the sum of a [`Breakdown`]:
 //!
 //! | part | seconds |
 //! |---|---|
@@ -95,14 +95,14 @@ pub struct Network {
 
 /// What a rank has for its data.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Memory {
+pub struct RankMemory {
     /// Bytes that its caches hold.
     pub cache: f64,
     /// Bytes per second from and to memory, by all threads together.
     pub bandwidth: f64,
 }
 
-impl Memory {
+impl RankMemory {
     /// One that nobody waits for.
     pub const ENDLESS: Self = Self { cache: f64::INFINITY, bandwidth: f64::INFINITY };
 }
@@ -126,14 +126,14 @@ pub struct Model {
     /// What carries messages.
     pub network: Network,
     /// What a rank has for its data.
-    pub memory: Memory,
+    pub memory: RankMemory,
     /// Threads of a rank.
     pub threads: usize,
 }
 
 /// What the time of a step consists of, in seconds.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
-pub struct Parts {
+pub struct Breakdown {
     /// The draws, shared out evenly over all threads of all ranks.
     pub draws: f64,
     /// Adding up patches and moving samples, shared out evenly over the threads of a rank.
@@ -154,19 +154,19 @@ pub struct Parts {
     pub sharing: f64,
 }
 
-impl Parts {
+impl Breakdown {
     /// All of them with what they are.
-    pub fn all(&self) -> [(Bound, f64); 9] {
+    pub fn all(&self) -> [(Bottleneck, f64); 9] {
         [
-            (Bound::Draws, self.draws),
-            (Bound::Update, self.update),
-            (Bound::Cells, self.cells),
-            (Bound::Memory, self.memory),
-            (Bound::Packing, self.packing),
-            (Bound::Messages, self.messages),
-            (Bound::Bandwidth, self.bandwidth),
-            (Bound::Rounds, self.rounds),
-            (Bound::Sharing, self.sharing),
+            (Bottleneck::Draws, self.draws),
+            (Bottleneck::Update, self.update),
+            (Bottleneck::Cells, self.cells),
+            (Bottleneck::Memory, self.memory),
+            (Bottleneck::Packing, self.packing),
+            (Bottleneck::Messages, self.messages),
+            (Bottleneck::Bandwidth, self.bandwidth),
+            (Bottleneck::Rounds, self.rounds),
+            (Bottleneck::Sharing, self.sharing),
         ]
     }
 
@@ -189,28 +189,28 @@ impl Parts {
 /// What most of a step's time is for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Bound {
-    /// [`Parts::draws`]
+pub enum Bottleneck {
+    /// [`Breakdown::draws`]
     Draws,
-    /// [`Parts::update`]
+    /// [`Breakdown::update`]
     Update,
-    /// [`Parts::cells`]
+    /// [`Breakdown::cells`]
     Cells,
-    /// [`Parts::memory`]
+    /// [`Breakdown::memory`]
     Memory,
-    /// [`Parts::packing`]
+    /// [`Breakdown::packing`]
     Packing,
-    /// [`Parts::messages`]
+    /// [`Breakdown::messages`]
     Messages,
-    /// [`Parts::bandwidth`]
+    /// [`Breakdown::bandwidth`]
     Bandwidth,
-    /// [`Parts::rounds`]
+    /// [`Breakdown::rounds`]
     Rounds,
-    /// [`Parts::sharing`]
+    /// [`Breakdown::sharing`]
     Sharing,
 }
 
-impl Bound {
+impl Bottleneck {
     /// Its name for people.
     pub fn name(self) -> &'static str {
         match self {
@@ -237,9 +237,9 @@ pub struct Prediction {
     /// Seconds of a step.
     pub seconds: f64,
     /// What they consist of.
-    pub parts: Parts,
+    pub parts: Breakdown,
     /// The largest part.
-    pub bound: Bound,
+    pub bound: Bottleneck,
     /// Bytes of halos that the slowest rank sends in a step.
     pub halo_bytes: u64,
     /// Messages that they are.
@@ -269,8 +269,9 @@ impl Model {
             let regions = partition.regions(ranks, rank)?;
             Ok((self.rank(partition, load, &regions), regions))
         });
-        let all: Vec<(Parts, Regions)> = all.collect::<Result<_, _>>()?;
-        let slower = |a: &&(Parts, Regions), b: &&(Parts, Regions)| a.0.sum().total_cmp(&b.0.sum());
+        let all: Vec<(Breakdown, Regions)> = all.collect::<Result<_, _>>()?;
+        let slower =
+            |a: &&(Breakdown, Regions), b: &&(Breakdown, Regions)| a.0.sum().total_cmp(&b.0.sum());
         let (mut parts, regions) = all.iter().max_by(slower).expect("a rank").clone();
         let depth = f64::from(usize::BITS - (ranks - 1).leading_zeros());
         let pulses = (parts.sum() / PULSE).min(1.0);
@@ -295,8 +296,10 @@ impl Model {
     ) -> Result<Prediction, TooManyRanks> {
         assert!(cores > 0, "no cores");
         let share = 1.0 / ranks as f64;
-        let memory =
-            Memory { cache: self.memory.cache * share, bandwidth: self.memory.bandwidth * share };
+        let memory = RankMemory {
+            cache: self.memory.cache * share,
+            bandwidth: self.memory.bandwidth * share,
+        };
         let mut found = Self { memory, ..*self }.step(partition, load, ranks)?;
         let busy = found.parts.work(self.threads as f64) * ranks as f64 / cores as f64;
         found.parts.sharing = (busy - found.parts.computing()).max(0.0);
@@ -306,7 +309,7 @@ impl Model {
     }
 
     /// What surrounds the parts of a step.
-    fn prediction(&self, partition: &Partition, regions: &Regions, parts: Parts) -> Prediction {
+    fn prediction(&self, partition: &Partition, regions: &Regions, parts: Breakdown) -> Prediction {
         let ranks = regions.all().len();
         let team = Team { ranks: 1, threads: self.threads, regions: ranks, can_fail: false };
         let place = regions.own().place();
@@ -326,7 +329,7 @@ impl Model {
     }
 
     /// The parts of one rank's step, pulses and the cores of others aside.
-    fn rank(&self, partition: &Partition, load: &Load, regions: &Regions) -> Parts {
+    fn rank(&self, partition: &Partition, load: &Load, regions: &Regions) -> Breakdown {
         let Self { costs, network, memory, threads } = *self;
         let (tile, region, reach) = (partition.shape(), regions.own(), partition.reach());
         let (shape, ranks) = (region.shape(), regions.all().len() as f64);
@@ -385,7 +388,7 @@ impl Model {
             [first, second].map(|hides| (latency + transfer - hides).max(0.0)).iter().sum();
         let late = if shown > 0.0 { latency / (latency + transfer) } else { 0.0 };
 
-        Parts {
+        Breakdown {
             draws,
             update,
             cells: (drawing - draws).max(0.0) + (updating - update),
@@ -400,8 +403,8 @@ impl Model {
 }
 
 /// What has the most seconds.
-fn largest(parts: &[(Bound, f64)]) -> Bound {
-    parts.iter().max_by(|a, b| a.1.total_cmp(&b.1)).map_or(Bound::Draws, |&(bound, _)| bound)
+fn largest(parts: &[(Bottleneck, f64)]) -> Bottleneck {
+    parts.iter().max_by(|a, b| a.1.total_cmp(&b.1)).map_or(Bottleneck::Draws, |&(bound, _)| bound)
 }
 
 /// When the last of some jobs is done, that threads take in their order.
@@ -447,7 +450,7 @@ mod tests {
     const AT_ONCE: Network = Network { latency: 0.0, bandwidth: f64::INFINITY };
     const LOAD: Load = Load { draws: 4096.0, samples: 80.0, directions: 1.0 };
     const MODEL: Model =
-        Model { costs: COSTS, network: NETWORK, memory: Memory::ENDLESS, threads: 16 };
+        Model { costs: COSTS, network: NETWORK, memory: RankMemory::ENDLESS, threads: 16 };
 
     fn partition(width: usize, height: usize, reach: usize) -> Partition {
         let shape = TileShape::new(width, height, 30, 1, 2).unwrap();
@@ -466,7 +469,7 @@ mod tests {
         let update = 128.0 * 128.0 * 30.0 * 2.0 * 3e-10 + patches * 1e-10;
         close(found.seconds, (4096.0 * 80.0 * 5e-9 + update) / 16.0 + 2e-6);
         assert_eq!((found.halo_bytes, found.messages, found.allreduce_bytes), (0, 0, 0.0));
-        assert_eq!((found.bound, found.region), (Bound::Draws, [128, 128]));
+        assert_eq!((found.bound, found.region), (Bottleneck::Draws, [128, 128]));
     }
 
     #[test]
@@ -495,19 +498,19 @@ mod tests {
     #[test]
     fn memory_holds_up_what_the_caches_do_not_hold() {
         let partition = partition(128, 128, 3);
-        let memory = Memory { cache: 0.0, bandwidth: 10e9 };
+        let memory = RankMemory { cache: 0.0, bandwidth: 10e9 };
         let slow = Model { memory, ..MODEL }.step(&partition, &LOAD, 1).unwrap();
         let (coordinates, patches) = (983_040.0, 64.0 * 22.0 * 22.0 * 60.0);
         let update = (24.0 * coordinates + 8.0 * patches) / 10e9;
         let drawing = (4096.0 * 80.0 * 24.0_f64 / 10e9 - 4096.0 * 80.0 * 5e-9 / 16.0).max(0.0);
         close(slow.parts.memory, update - slow.parts.update + drawing);
         let kept = 4.0 * (3.0 * coordinates + patches);
-        let half = Memory { cache: kept / 2.0, bandwidth: 1e9 };
+        let half = RankMemory { cache: kept / 2.0, bandwidth: 1e9 };
         let half = Model { memory: half, ..MODEL }.step(&partition, &LOAD, 1).unwrap();
-        let all = Memory { cache: 0.0, bandwidth: 2e9 };
+        let all = RankMemory { cache: 0.0, bandwidth: 2e9 };
         let all = Model { memory: all, ..MODEL }.step(&partition, &LOAD, 1).unwrap();
         close(half.seconds, all.seconds);
-        let fits = Memory { cache: kept, bandwidth: 1e9 };
+        let fits = RankMemory { cache: kept, bandwidth: 1e9 };
         let fits = Model { memory: fits, ..MODEL }.step(&partition, &LOAD, 1).unwrap();
         assert_eq!(fits.parts.memory, 0.0);
     }
@@ -593,10 +596,10 @@ mod tests {
         close(on(2, 1).seconds, 2.0 * work + two.parts.rounds);
         close(on(2, 1).parts.sharing, work);
         // Memory is that of all of them.
-        let memory = Memory { cache: 0.0, bandwidth: 1e9 };
+        let memory = RankMemory { cache: 0.0, bandwidth: 1e9 };
         let model = Model { memory, ..model };
         let shared = model.predict_run(&partition, &LOAD, 2, 2).unwrap();
-        let half = Memory { bandwidth: 5e8, ..memory };
+        let half = RankMemory { bandwidth: 5e8, ..memory };
         let apart = Model { memory: half, ..model }.step(&partition, &LOAD, 2).unwrap();
         assert_eq!(shared, apart);
     }
@@ -620,7 +623,7 @@ mod tests {
             let partition = partition(width, height, reach);
             let ranks = ranks.min(partition.cells());
             let load = Load { draws, ..LOAD };
-            let memory = Memory { cache, bandwidth: memory };
+            let memory = RankMemory { cache, bandwidth: memory };
             let with = |network| {
                 Model { network, memory, threads, ..MODEL }.step(&partition, &load, ranks).unwrap()
             };

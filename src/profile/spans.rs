@@ -18,7 +18,7 @@ pub struct Span {
     /// The step.
     pub step: u32,
     /// What it was: a stage, or the whole of what a thread took on at once.
-    pub work: Work,
+    pub work: Activity,
     /// When it began.
     pub start: Duration,
     /// How long it took.
@@ -27,7 +27,7 @@ pub struct Span {
 
 /// What a thread does.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Work {
+pub enum Activity {
     /// All draws of a block.
     Pull,
     /// One line of the tile.
@@ -36,7 +36,7 @@ pub enum Work {
     Stage(Stage),
 }
 
-impl Work {
+impl Activity {
     /// Its name as people read it.
     pub fn name(self) -> &'static str {
         match self {
@@ -92,14 +92,14 @@ impl SpanProbe {
     fn close(&mut self) {
         let Some(stage) = self.stage.take() else { return };
         let work = match stage {
-            Stage::Reduce | Stage::Adam => Work::Update,
-            _ => Work::Pull,
+            Stage::Reduce | Stage::Adam => Activity::Update,
+            _ => Activity::Pull,
         };
         self.push(work, self.begun);
     }
 
     /// Keeps what went on from `start` to the last mark.
-    fn push(&mut self, work: Work, start: Duration) {
+    fn push(&mut self, work: Activity, start: Duration) {
         if self.spans.len() < self.most {
             let Self { thread, now: step, last, .. } = *self;
             self.spans.push(Span { thread, step, work, start, duration: last - start });
@@ -122,7 +122,7 @@ impl Probe for SpanProbe {
         self.stage = Some(stage);
         // Room is kept for the whole that the stages belong to.
         if self.now < self.detailed && self.spans.len() < self.most / 2 {
-            self.push(Work::Stage(stage), start);
+            self.push(Activity::Stage(stage), start);
         }
     }
 }
@@ -176,8 +176,8 @@ pub fn write_workers(
 /// Writes a span on the track of its thread, of which the first is given.
 fn event(trace: &mut Trace<impl Write>, first: u32, span: &Span) -> io::Result<()> {
     let details = match span.work {
-        Work::Stage(_) => Vec::new(),
-        Work::Pull | Work::Update => vec![("step", span.step.into())],
+        Activity::Stage(_) => Vec::new(),
+        Activity::Pull | Activity::Update => vec![("step", span.step.into())],
     };
     let thread = first + span.thread as u32;
     trace.complete(thread, span.work.name(), span.start, span.duration, &details)

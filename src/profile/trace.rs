@@ -19,7 +19,7 @@ const PROCESS: u32 = 1;
 
 /// One event as the format has it. Fields that it does not use are left out.
 #[derive(Debug, Serialize)]
-struct Event<'a> {
+struct TraceEvent<'a> {
     ph: &'static str,
     pid: u32,
     tid: u32,
@@ -96,7 +96,7 @@ impl<W: Write> Trace<W> {
             return Ok(());
         }
         let args = details.iter().map(|(key, value)| ((*key).to_owned(), value.clone())).collect();
-        self.next(&Event {
+        self.next(&TraceEvent {
             ph: "X",
             pid: PROCESS,
             tid: thread,
@@ -120,7 +120,7 @@ impl<W: Write> Trace<W> {
             return Ok(());
         }
         let ts = Some(microseconds(at));
-        self.next(&Event { ph: "C", pid: PROCESS, tid: 0, ts, dur: None, name, args })
+        self.next(&TraceEvent { ph: "C", pid: PROCESS, tid: 0, ts, dur: None, name, args })
     }
 
     /// Events that did not fit.
@@ -155,19 +155,19 @@ impl<W: Write> Trace<W> {
         fits
     }
 
-    fn next(&mut self, event: &Event<'_>) -> io::Result<()> {
+    fn next(&mut self, event: &TraceEvent<'_>) -> io::Result<()> {
         self.out.write_all(b",\n")?;
         self.write(event)
     }
 
-    fn write(&mut self, event: &Event<'_>) -> io::Result<()> {
+    fn write(&mut self, event: &TraceEvent<'_>) -> io::Result<()> {
         serde_json::to_writer(&mut self.out, event).map_err(io::Error::from)
     }
 }
 
-fn metadata<'a>(thread: u32, name: &'a str, key: &str, value: Value) -> Event<'a> {
+fn metadata<'a>(thread: u32, name: &'a str, key: &str, value: Value) -> TraceEvent<'a> {
     let args = Map::from_iter([(key.to_owned(), value)]);
-    Event { ph: "M", pid: PROCESS, tid: thread, ts: None, dur: None, name, args }
+    TraceEvent { ph: "M", pid: PROCESS, tid: thread, ts: None, dur: None, name, args }
 }
 
 /// The format's unit of time.

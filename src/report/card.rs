@@ -10,7 +10,7 @@ use super::samples::Crop;
 use crate::format::picture::Image;
 use crate::kernel::{KernelTaps, Response};
 use crate::metric::{
-    ClassSpectra, Domain, Entry, PairHistogram, Ring, Spectrum, marginals, pair_histograms,
+    ClassSpectra, Domain, PairHistogram, Ring, ScoredTile, Spectrum, marginals, pair_histograms,
 };
 use crate::tile::Tile;
 
@@ -29,19 +29,19 @@ const LEAST_POWER: f64 = 1e-4;
 pub(super) struct Card {
     /// As the page calls the tile.
     pub title: String,
-    pub entry: Entry,
+    pub entry: ScoredTile,
     /// What the viewer has of it.
     pub part: Crop,
     pub provenance: Provenance,
     /// Frame, XT and YT slice.
     pub slices: [Shown; 3],
     /// XY and XT spectrum, each with the window over it.
-    pub spectra: [Window; 2],
+    pub spectra: [KernelWindow; 2],
     /// Power by distance from frequency 0: XY, XT, and the window along x.
-    pub radial: [Series; 3],
+    pub radial: [PlotLine; 3],
     pub pairs: Vec<(PairHistogram, Shown)>,
     /// Shares of the intervals of each coordinate, as lines.
-    pub marginals: Vec<Series>,
+    pub marginals: Vec<PlotLine>,
 }
 
 /// A picture of the report.
@@ -52,7 +52,7 @@ pub(super) struct Shown {
 }
 
 /// A spectrum and the kernel's window over it.
-pub(super) struct Window {
+pub(super) struct KernelWindow {
     pub picture: Shown,
     /// One path for each of the levels, in pixels of the picture.
     pub contours: [String; 2],
@@ -65,7 +65,7 @@ impl Card {
     /// A file that cannot be written.
     pub fn new(
         number: usize,
-        mut entry: Entry,
+        mut entry: ScoredTile,
         tile: &Tile,
         kernel: &KernelTaps,
         folder: &Folder,
@@ -82,11 +82,11 @@ impl Card {
         let window = |name: &str,
                       which: fn(&ClassSpectra) -> &Spectrum,
                       response: Response|
-         -> Result<(Window, Vec<Ring>), ReportError> {
+         -> Result<(KernelWindow, Vec<Ring>), ReportError> {
             let mean = mean(&spectra, which);
             let picture = save(name, &pictures::spectrum_picture(&mean))?;
             let contours = LEVELS.map(|level| window_path(&response, level, &mean));
-            Ok((Window { picture, contours }, mean.radial))
+            Ok((KernelWindow { picture, contours }, mean.radial))
         };
         let n = FREQUENCIES;
         let (xy, xy_rings) = window("xy", |class| &class.xy, Response::spatial(kernel, n, n))?;
@@ -159,13 +159,13 @@ fn window_path(response: &Response, level: f64, spectrum: &Spectrum) -> String {
     path
 }
 
-fn rings(name: &str, rings: &[Ring]) -> Series {
+fn rings(name: &str, rings: &[Ring]) -> PlotLine {
     let point = |ring: &Ring| [ring.frequency, ring.power.max(LEAST_POWER)];
-    Series { name: name.into(), points: rings.iter().map(point).collect(), band: Vec::new() }
+    PlotLine { name: name.into(), points: rings.iter().map(point).collect(), band: Vec::new() }
 }
 
 /// |ĝ|² along x, relative to its largest value.
-fn window_along_x(kernel: &KernelTaps) -> Series {
+fn window_along_x(kernel: &KernelTaps) -> PlotLine {
     let response = Response::spatial(kernel, 2 * FREQUENCIES, 1);
     let peak = response.magnitude.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
     let point = |i: usize| {
@@ -173,15 +173,15 @@ fn window_along_x(kernel: &KernelTaps) -> Series {
         [i as f64 / (2 * FREQUENCIES) as f64, (part * part).max(LEAST_POWER)]
     };
     let points = (0..=FREQUENCIES).map(point).collect();
-    Series { name: "window |ĝ|² along x".into(), points, band: Vec::new() }
+    PlotLine { name: "window |ĝ|² along x".into(), points, band: Vec::new() }
 }
 
 /// The shares of a coordinate's intervals as steps.
-fn steps((dim, shares): (usize, &Vec<f64>)) -> Series {
+fn steps((dim, shares): (usize, &Vec<f64>)) -> PlotLine {
     let at = |i: usize| i as f64 / shares.len() as f64;
     let points =
         shares.iter().enumerate().flat_map(|(i, &share)| [[at(i), share], [at(i + 1), share]]);
-    Series { name: format!("dimension {dim}"), points: points.collect(), band: Vec::new() }
+    PlotLine { name: format!("dimension {dim}"), points: points.collect(), band: Vec::new() }
 }
 
 #[cfg(test)]

@@ -7,7 +7,7 @@
 //!  renders.json ───► renders ──► renders/*.png ──────────────────┘
 //! ```
 //!
-//! `folder` makes it appear whole or not at all. The numbers are those of [`Entry`], which
+//! `folder` makes it appear whole or not at all. The numbers are those of [`ScoredTile`], which
 //! `perceptile evaluate` prints; `page` only sets them. `viewer/` holds the script that animates
 //! errors in the page. The same tiles make the same bytes: nothing here depends on the time, the
 //! machine or the name of the folder.
@@ -32,7 +32,7 @@ use std::path::Path;
 
 use crate::format::write::Existing;
 use crate::kernel::{KernelSpec, KernelTaps};
-use crate::metric::{Entry, ScoreOptions};
+use crate::metric::{ScoreOptions, ScoredTile};
 use crate::tile::Tile;
 
 use card::Card;
@@ -90,7 +90,7 @@ impl Report {
     /// A file that cannot be written.
     pub fn add(
         &mut self,
-        entry: Entry,
+        entry: ScoredTile,
         tile: &Tile,
         kernel: &KernelTaps,
     ) -> Result<(), ReportError> {

@@ -16,12 +16,12 @@ const MAX_WEIGHTS: usize = 1 << 17;
 
 /// A kernel as planes and slices: the tap (dx, dy, dt) weighs `scale` × the plane's weight.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub(super) struct Planes {
+pub(super) struct KernelPlanes {
     /// Σg².
     pub power: f64,
     pub planes: Vec<Plane>,
     /// One for each frame with taps, from the past to the newest.
-    pub slices: Vec<Slice>,
+    pub slices: Vec<KernelFrame>,
 }
 
 /// Weights of one frame's offsets from (x, y) on.
@@ -40,14 +40,14 @@ pub(super) struct Plane {
 
 /// One frame of the kernel.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub(super) struct Slice {
+pub(super) struct KernelFrame {
     pub dt: i32,
     /// Index of its plane.
     pub plane: usize,
     pub scale: f64,
 }
 
-impl Planes {
+impl KernelPlanes {
     /// Takes a kernel apart; `None` if its planes have too many weights for a page.
     pub fn of(kernel: &KernelTaps) -> Option<Self> {
         let mut taps: Vec<_> = kernel.taps().to_vec();
@@ -73,14 +73,14 @@ impl Planes {
                 Plane { x: low.x, y: low.y, width, height, row: None, column: None, weights };
             let dt = low.z;
             let known = planes.iter().enumerate().find_map(|(i, known)| {
-                plane.relative_to(known).map(|scale| Slice { dt, plane: i, scale })
+                plane.relative_to(known).map(|scale| KernelFrame { dt, plane: i, scale })
             });
             slices.push(match known {
                 Some(slice) => slice,
                 None => {
                     left = left.checked_sub(width * height)?;
                     planes.push(plane);
-                    Slice { dt, plane: planes.len() - 1, scale: 1.0 }
+                    KernelFrame { dt, plane: planes.len() - 1, scale: 1.0 }
                 }
             });
         }
@@ -144,7 +144,7 @@ mod tests {
     }
 
     /// Every tap is what the planes say, and they say nothing else.
-    fn check(kernel: &KernelTaps, planes: &Planes) {
+    fn check(kernel: &KernelTaps, planes: &KernelPlanes) {
         let mut left: HashMap<IVec3, f64> =
             kernel.taps().iter().map(|tap| (tap.offset, tap.weight)).collect();
         let peak = kernel.taps()[0].weight.abs();
@@ -168,7 +168,7 @@ mod tests {
     #[test]
     fn a_product_of_space_and_time_is_one_separable_plane() {
         let kernel = taps("gaussian(2.1) * fovvideovdp(60) @ 7x7x8");
-        let planes = Planes::of(&kernel).unwrap();
+        let planes = KernelPlanes::of(&kernel).unwrap();
         check(&kernel, &planes);
         assert_eq!((planes.planes.len(), planes.slices.len()), (1, 8));
         let plane = &planes.planes[0];
@@ -181,7 +181,7 @@ mod tests {
     #[test]
     fn a_round_kernel_is_not_separable() {
         let kernel = taps("gaussian(2.1) * ema(0.5) @ 80%");
-        let planes = Planes::of(&kernel).unwrap();
+        let planes = KernelPlanes::of(&kernel).unwrap();
         check(&kernel, &planes);
         assert!(planes.planes.len() > 1);
         assert!(planes.planes.iter().any(|plane| plane.row.is_none() && plane.column.is_none()));
@@ -191,10 +191,10 @@ mod tests {
     fn planes_beyond_measure_are_refused_before_they_are_made() {
         let tap = |x, y, t| Tap { offset: IVec3::new(x, y, t), weight: 1.0 };
         let far = [tap(i32::MIN, 0, 0), tap(i32::MAX, 7, 0)];
-        assert_eq!(Planes::of(&KernelTaps::new(far).unwrap()), None);
+        assert_eq!(KernelPlanes::of(&KernelTaps::new(far).unwrap()), None);
         // Each of these planes is small enough, and none like another.
         let many = (0..4).flat_map(|t| [tap(0, 0, t), tap(199, 199 + t, t)]);
-        assert_eq!(Planes::of(&KernelTaps::new(many).unwrap()), None);
+        assert_eq!(KernelPlanes::of(&KernelTaps::new(many).unwrap()), None);
     }
 
     proptest! {
@@ -219,7 +219,7 @@ mod tests {
             }
             let kernel = weights.iter().map(|(&offset, &weight)| Tap { offset, weight });
             let Ok(kernel) = KernelTaps::new(kernel) else { return Ok(()) };
-            let planes = Planes::of(&kernel).unwrap();
+            let planes = KernelPlanes::of(&kernel).unwrap();
             check(&kernel, &planes);
             prop_assert!(odd.is_some() || planes.planes.len() == 1);
         }

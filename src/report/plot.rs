@@ -19,14 +19,14 @@ const COLOURS: usize = 8;
 #[derive(Debug, Clone)]
 pub(super) struct Plot {
     pub title: String,
-    pub x: Axis,
-    pub y: Axis,
-    pub series: Vec<Series>,
+    pub x: PlotAxis,
+    pub y: PlotAxis,
+    pub series: Vec<PlotLine>,
 }
 
 /// One of its axes.
 #[derive(Debug, Clone)]
-pub(super) struct Axis {
+pub(super) struct PlotAxis {
     pub label: String,
     pub log: bool,
     /// Values that it shows whatever the lines are.
@@ -35,7 +35,7 @@ pub(super) struct Axis {
 
 /// One of its lines.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Series {
+pub(super) struct PlotLine {
     pub name: String,
     pub points: Vec<[f64; 2]>,
     /// Lowest and highest value at each point, drawn as a band.
@@ -155,7 +155,7 @@ impl Plot {
     pub fn markup(&self, id: &str) -> Markup {
         let points = || self.series.iter().flat_map(|series| &series.points);
         let bands = || self.series.iter().flat_map(|series| series.band.iter().flatten().copied());
-        let shows = |axis: &Axis| axis.shows.clone().into_iter();
+        let shows = |axis: &PlotAxis| axis.shows.clone().into_iter();
         let values = points().map(|p| p[0]).chain(shows(&self.x));
         let x = Scale::new(self.x.log, values, [LEFT, WIDTH - RIGHT]);
         let values = points().map(|p| p[1]).chain(bands()).chain(shows(&self.y));
@@ -226,7 +226,7 @@ impl Plot {
 
     /// First and last value of each series, for those who do not see the lines.
     fn summary(&self) -> String {
-        let ends = |series: &Series| {
+        let ends = |series: &PlotLine| {
             let (first, last) = (series.points.first()?, series.points.last()?);
             Some(format!("{} from {} to {}", series.name, label(first[1]), label(last[1])))
         };
@@ -236,7 +236,7 @@ impl Plot {
 }
 
 /// The outline of a band: along its lower side and back along the upper one.
-fn band(series: &Series, x: &Scale, y: &Scale) -> String {
+fn band(series: &PlotLine, x: &Scale, y: &Scale) -> String {
     let side = |which: usize| {
         let at = |(point, band): (&[f64; 2], &[f64; 2])| [x.at(point[0]), y.at(band[which])];
         series.points.iter().zip(&series.band).map(at).collect::<Vec<_>>()
@@ -274,8 +274,8 @@ mod tests {
         }
     }
 
-    fn plot(log: bool, series: Vec<Series>) -> String {
-        let axis = |log| Axis { label: "<x>".into(), log, shows: vec![] };
+    fn plot(log: bool, series: Vec<PlotLine>) -> String {
+        let axis = |log| PlotAxis { label: "<x>".into(), log, shows: vec![] };
         Plot { title: "A & B".into(), x: axis(false), y: axis(log), series }
             .markup("p")
             .into_string()
@@ -286,12 +286,12 @@ mod tests {
         let points = vec![[0.0, 0.01], [1.0, 0.1], [2.0, 1.0]];
         let band = vec![[0.005, 0.02], [0.05, 0.2], [0.5, 2.0]];
         let text =
-            plot(true, vec![Series { name: "one".into(), points: points.clone(), band: vec![] }]);
+            plot(true, vec![PlotLine { name: "one".into(), points: points.clone(), band: vec![] }]);
         // Equal steps of the logarithm are equal steps of the drawing.
         assert!(text.contains("d=\"M76.0 274.0L310.0 143.0L544.0 12.0\""), "{text}");
         assert!(text.contains("&lt;x&gt;") && text.contains("A &amp; B") && !text.contains("<x>"));
         assert!(!text.contains("class=\"band"));
-        let text = plot(true, vec![Series { name: "one".into(), points, band }]);
+        let text = plot(true, vec![PlotLine { name: "one".into(), points, band }]);
         assert!(text.contains("class=\"band s0\""));
     }
 
@@ -309,7 +309,7 @@ mod tests {
         fn any_numbers_make_a_plot(
             points in prop::collection::vec([number(), number()], 0..20), log: bool,
         ) {
-            let series = Series { name: "s".into(), band: points.clone(), points };
+            let series = PlotLine { name: "s".into(), band: points.clone(), points };
             let text = plot(log, vec![series]);
             prop_assert!(!text.contains("NaN") && !text.contains("inf"), "{}", text);
             prop_assert!(text.matches("<text").count() < 60);

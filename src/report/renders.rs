@@ -106,7 +106,7 @@ pub(super) struct Renders {
     #[serde(default)]
     pub scenes: Vec<Scene>,
     #[serde(default)]
-    pub tables: Vec<Table>,
+    pub tables: Vec<TableData>,
     #[serde(default)]
     pub plots: Vec<Curves>,
     #[serde(default)]
@@ -156,18 +156,18 @@ pub(super) struct Square {
 /// A table.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct Table {
+pub(super) struct TableData {
     pub title: String,
     #[serde(default)]
     pub caption: String,
     pub columns: Vec<String>,
-    pub rows: Vec<Vec<Cell>>,
+    pub rows: Vec<Vec<TableCell>>,
 }
 
 /// One cell of a table.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(untagged)]
-pub(super) enum Cell {
+pub(super) enum TableCell {
     Text(String),
     Marked(Marked),
 }
@@ -192,13 +192,13 @@ pub(super) struct Curves {
     pub y: String,
     #[serde(default)]
     pub log_y: bool,
-    pub series: Vec<Curve>,
+    pub series: Vec<CurveData>,
 }
 
 /// One line of a plot.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct Curve {
+pub(super) struct CurveData {
     pub name: String,
     pub x: Vec<f64>,
     pub y: Vec<f64>,
@@ -373,7 +373,7 @@ impl Scene {
     }
 }
 
-impl Curve {
+impl CurveData {
     fn check(&self, place: &str, log: bool) -> Result<(), Problem> {
         let columns = [
             ("x", Some(&self.x), false),

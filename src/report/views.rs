@@ -17,7 +17,7 @@ const LEAST_KEPT: f64 = 0.9;
 pub(super) struct View {
     pub name: &'static str,
     /// `None` for the error itself.
-    pub kernel: Option<Planes>,
+    pub kernel: Option<KernelPlanes>,
     /// Its text form.
     #[serde(skip)]
     pub text: Option<String>,
@@ -80,7 +80,7 @@ impl Views {
         Ok(views)
     }
 
-    fn add(&mut self, name: &'static str, view: Result<(Planes, String), String>) {
+    fn add(&mut self, name: &'static str, view: Result<(KernelPlanes, String), String>) {
         match view {
             Ok((planes, text)) => {
                 self.shown.push(View { name, kernel: Some(planes), text: Some(text) });
@@ -131,7 +131,7 @@ struct Room {
 }
 
 impl Room {
-    fn planes(&self, class: &KernelClass) -> Result<(Planes, String), String> {
+    fn planes(&self, class: &KernelClass) -> Result<(KernelPlanes, String), String> {
         let [width, height, frames] = class.taps.size().map(|n| n as usize);
         if width > self.width || height > self.height || frames > self.frames {
             return Err(format!(
@@ -139,13 +139,14 @@ impl Room {
                 self.width, self.height, self.frames
             ));
         }
-        let planes = Planes::of(&class.taps).ok_or("its kernel has too many weights for a page")?;
+        let planes =
+            KernelPlanes::of(&class.taps).ok_or("its kernel has too many weights for a page")?;
         Ok((planes, class.text.clone()))
     }
 
     /// A kernel cut to the frames of all parts. At least `LEAST_KEPT` of the part `kept` of its
     /// weight must be in them.
-    fn averaged(&self, kernel: &KernelSpec, kept: f64) -> Result<(Planes, String), String> {
+    fn averaged(&self, kernel: &KernelSpec, kept: f64) -> Result<(KernelPlanes, String), String> {
         let resolved = kernel.resolve_without_tile().map_err(|error| error.to_string())?;
         let class = &resolved.classes()[0];
         let inside = 1.0 - class.dropped.time.unwrap_or(0.0);

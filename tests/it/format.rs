@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use perceptile::format::npy;
 use perceptile::format::picture::preview;
-use perceptile::format::png::{self, Depth, Layout, Raster};
+use perceptile::format::png::{self, Depth, PixelFormat, Raster};
 use perceptile::format::sidecar::{self, Sidecar};
 use perceptile::format::slices::{SliceOptions, slice_paths, write_slices};
 use perceptile::format::source::{SourceError, TileSource};
@@ -194,7 +194,7 @@ fn save(path: &Path, raster: &Raster) {
 
 fn gray(width: usize, height: usize, first: u16) -> Raster {
     let levels = (0..(width * height) as u16).map(|i| first + i).collect();
-    Raster { width, height, layout: Layout::Gray, depth: Depth::Eight, levels }
+    Raster { width, height, layout: PixelFormat::Gray, depth: Depth::Eight, levels }
 }
 
 #[test]
@@ -256,7 +256,7 @@ fn channels_are_chosen_or_the_colours_that_say_something() {
     let mut raster = Raster {
         width: 1,
         height: 2,
-        layout: Layout::Rgba,
+        layout: PixelFormat::Rgba,
         depth: Depth::Eight,
         levels: vec![10, 20, 0, 40, 11, 21, 0, 41],
     };
@@ -272,7 +272,7 @@ fn channels_are_chosen_or_the_colours_that_say_something() {
     assert_eq!(read("").unwrap(), [10, 20, 11, 21]);
     assert_eq!(read("rgb").unwrap(), [10, 20, 0, 11, 21, 0]);
     assert_eq!(read("ag").unwrap(), [40, 20, 41, 21]);
-    raster.layout = Layout::Gray;
+    raster.layout = PixelFormat::Gray;
     raster.width = 8;
     write::write(&path, Existing::Replace, |out| png::encode(&raster, out)).unwrap();
     assert_eq!(read("r").unwrap(), [10, 20, 0, 40, 11, 21, 0, 41]);
@@ -453,7 +453,7 @@ fn a_preview_is_saved_as_it_was_drawn() {
     let bytes = fs::read(&path).unwrap();
     let raster = png::decode(Cursor::new(&bytes), bytes.len() as u64).unwrap();
     assert_eq!((raster.width, raster.height), (picture.width(), picture.height()));
-    assert_eq!(raster.layout, Layout::Rgb);
+    assert_eq!(raster.layout, PixelFormat::Rgb);
     assert!(raster.levels.iter().zip(picture.data()).all(|(&a, &b)| a == u16::from(b)));
 }
 
@@ -630,7 +630,7 @@ proptest! {
         let raster = Raster {
             width: 4,
             height: 4,
-            layout: Layout::Rgb,
+            layout: PixelFormat::Rgb,
             depth: Depth::Sixteen,
             levels: (0..48).map(|i| i * 1365).collect(),
         };

@@ -7,7 +7,7 @@ use std::process::{Command, Stdio};
 
 use perceptile::draw::LevelSets;
 use perceptile::gradient::probe::Stage;
-use perceptile::profile::access::{self, Arrangement, Order};
+use perceptile::profile::access::{self, Arrangement, DrawOrder};
 use perceptile::profile::machine::Machine;
 use perceptile::profile::subject::Subject;
 use perceptile::profile::traffic;
@@ -163,7 +163,7 @@ fn lines_and_pages_of_a_draw_are_those_of_its_pixels() {
         }
         let all = draws.len() as f64;
         let fewest: i64 = fewest.into_values().map(|bytes| (bytes + line - 1) / line).sum();
-        for order in Order::ALL {
+        for order in DrawOrder::ALL {
             let of =
                 |row: &&access::Behaviour| (row.arrangement, row.order) == (arrangement, order);
             let row = found.iter().find(of).unwrap();

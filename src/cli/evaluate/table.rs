@@ -1,6 +1,6 @@
 //! The scores as a table for people.
 
-use perceptile::metric::{Class, Domain, Entry, Part, Ratio};
+use perceptile::metric::{Class, Domain, Ratio, ScoredTile, ShownScore};
 
 use super::Report;
 
@@ -10,15 +10,15 @@ const COLUMN: usize = 16;
 const HISTOGRAM: usize = 20;
 
 /// One block of the table: one score in one domain, a row per tile.
-struct Section {
-    part: Part,
+struct TableSection {
+    part: ShownScore,
     domain: Domain,
     /// Whether to show the figures of the whole tile.
     uniformity: bool,
 }
 
 /// The whole text that the command prints.
-pub(super) fn table(report: &Report) -> String {
+pub(super) fn table(report: &Evaluation) -> String {
     let mut lines = vec![
         format!("kernel      {}", report.kernel),
         format!(
@@ -31,19 +31,19 @@ pub(super) fn table(report: &Report) -> String {
     let domains = report.tiles.iter().map(|entry| Domain::of(entry.shape.dims()));
     let domains = domains.max_by_key(|domains| domains.len()).unwrap_or(&[]);
     for &domain in domains {
-        for (place, part) in Part::ALL.into_iter().enumerate() {
+        for (place, part) in ShownScore::ALL.into_iter().enumerate() {
             let uniformity = place == 0 && domain == Domain::All;
-            lines.extend(Section { part, domain, uniformity }.lines(report));
+            lines.extend(TableSection { part, domain, uniformity }.lines(report));
         }
     }
     lines.push(String::new());
     lines.join("\n")
 }
 
-impl Section {
+impl TableSection {
     /// Heading and rows; nothing if no tile has such a score.
-    fn lines(&self, report: &Report) -> Vec<String> {
-        let rows: Vec<(&Entry, Vec<Ratio>)> =
+    fn lines(&self, report: &Evaluation) -> Vec<String> {
+        let rows: Vec<(&ScoredTile, Vec<Ratio>)> =
             report.tiles.iter().filter_map(|entry| Some((entry, self.ratios(entry)?))).collect();
         let Some(reference) = report.tiles.iter().find(|entry| entry.name == report.against) else {
             return Vec::new();
@@ -81,14 +81,14 @@ impl Section {
     }
 
     /// The section's score of each class, if the tile has them.
-    fn ratios(&self, entry: &Entry) -> Option<Vec<Ratio>> {
+    fn ratios(&self, entry: &ScoredTile) -> Option<Vec<Ratio>> {
         Class::ALL
             .iter()
             .map(|&class| (self.part.ratio)((self.part.scores)(entry).class(class, self.domain)?))
             .collect()
     }
 
-    fn row(&self, entry: &Entry, ratios: &[Ratio], label: usize) -> String {
+    fn row(&self, entry: &ScoredTile, ratios: &[Ratio], label: usize) -> String {
         let mut row = format!("{:label$}", entry.name);
         for Ratio { mean, standard_error } in ratios {
             row += &format!("{:>COLUMN$}", format!("{mean:.4} ±{standard_error:.4}"));
@@ -109,8 +109,8 @@ impl Section {
     /// The row below: the tile's scores divided by those of the tile to compare with.
     fn comparison(
         &self,
-        entry: &Entry,
-        reference: &Entry,
+        entry: &ScoredTile,
+        reference: &ScoredTile,
         against: &str,
         label: usize,
     ) -> Option<String> {
@@ -142,7 +142,7 @@ mod tests {
     use super::*;
 
     /// A tile whose every score is `level`, its bias and residual half of it.
-    fn entry(name: &str, dims: usize, frames: usize, level: f64) -> Entry {
+    fn entry(name: &str, dims: usize, frames: usize, level: f64) -> ScoredTile {
         let shape = TileShape::new(8, 8, frames, 1, dims).unwrap();
         let ratio = Ratio { mean: level, standard_error: level / 100.0 };
         let classes = Domain::of(dims)
@@ -165,7 +165,7 @@ mod tests {
             histogram: Histogram { smallest: 0.9, largest: 1.1, rms: level / 10.0 },
             residual: level / 2.0,
         };
-        Entry {
+        ScoredTile {
             name: name.into(),
             path: None,
             shape,
@@ -176,9 +176,14 @@ mod tests {
         }
     }
 
-    fn text(tiles: Vec<Entry>) -> String {
+    fn text(tiles: Vec<ScoredTile>) -> String {
         let against = tiles[0].name.clone();
-        table(&Report { kernel: "none".into(), options: ScoreOptions::default(), against, tiles })
+        table(&Evaluation {
+            kernel: "none".into(),
+            options: ScoreOptions::default(),
+            against,
+            tiles,
+        })
     }
 
     #[test]

@@ -8,7 +8,7 @@ use perceptile::format::write::{self, Existing};
 use perceptile::gradient::simd::Simd;
 use perceptile::profile::scaling::costs::CostsError;
 use perceptile::profile::scaling::report::{self, Cluster, Scaling};
-use perceptile::profile::scaling::{Memory, Network, picture};
+use perceptile::profile::scaling::{Network, RankMemory, picture};
 use perceptile::solver::Options;
 
 use crate::cli::print;
@@ -70,7 +70,7 @@ pub fn run(args: &ScalingArgs, own: Option<Options>, manner: &Manner<'_>) -> any
     write::probe(svg, existing)?;
     let cluster = Cluster {
         network: Network { latency: args.latency, bandwidth: args.bandwidth },
-        memory: Memory { cache: args.rank_cache, bandwidth: args.memory_bandwidth },
+        memory: RankMemory { cache: args.rank_cache, bandwidth: args.memory_bandwidth },
         threads: args.rank_threads.into(),
         ranks: args.most_ranks as usize,
         cores: args.shared_cores.map(Into::into),

@@ -12,7 +12,7 @@ use rayon::{ThreadPoolBuildError, ThreadPoolBuilder};
 use serde::Serialize;
 use thiserror::Error;
 
-use super::{Costs, Load, Memory, Model, Network};
+use super::{Costs, Load, Model, Network, RankMemory};
 use crate::gradient::probe::Stage;
 use crate::gradient::simd::Simd;
 use crate::kernel::{Kernel, KernelError};
@@ -127,7 +127,7 @@ impl Measured {
         let whole = |together| measure::whole(together, Layout::Rows, simd, &samples, time, || ());
         let measured = all.install(|| whole(&together))?.seconds;
         let network = Network { latency: 0.0, bandwidth: f64::INFINITY };
-        let model = Model { costs, network, memory: Memory::ENDLESS, threads };
+        let model = Model { costs, network, memory: RankMemory::ENDLESS, threads };
         let predicted = model.step(one.partition(), &load, 1)?.seconds;
         Ok(Self { shape, load, costs, check: Check { threads, predicted, measured } })
     }

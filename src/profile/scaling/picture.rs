@@ -2,7 +2,7 @@
 
 use plotters::prelude::*;
 
-use super::report::{Scaling, Table};
+use super::report::{Scaling, ScalingTable};
 use crate::profile::picture::{COLOURS, PictureError, erase};
 
 /// Pixels of the picture.
@@ -19,7 +19,7 @@ pub fn svg(scaling: &Scaling) -> String {
 }
 
 /// Ranks and speed-up.
-fn points(table: &Table) -> Vec<(f64, f64)> {
+fn points(table: &ScalingTable) -> Vec<(f64, f64)> {
     let steps = table.rows.iter().filter_map(|row| Some((row.ranks, row.step?.speedup)));
     steps.map(|(ranks, speedup)| (ranks as f64, speedup)).collect()
 }

@@ -6,7 +6,7 @@ use std::time::Duration;
 use serde::Serialize;
 
 use super::costs::{Check, CostsError, Measured};
-use super::{Bound, Memory, Model, Network, Prediction, largest};
+use super::{Bottleneck, Model, Network, Prediction, RankMemory, largest};
 use crate::gradient::simd::Simd;
 use crate::profile::machine::Machine;
 use crate::run::program::levels;
@@ -28,7 +28,7 @@ pub struct Cluster {
     /// What carries messages.
     pub network: Network,
     /// What a rank has for its data.
-    pub memory: Memory,
+    pub memory: RankMemory,
     /// Threads of a rank.
     pub threads: usize,
     /// Most ranks.
@@ -66,20 +66,20 @@ pub struct TileScaling {
     /// What its steps cost.
     pub measured: Measured,
     /// More ranks for the same tile.
-    pub strong: Table,
+    pub strong: ScalingTable,
     /// More ranks for a tile and a batch that grow with them.
-    pub weak: Table,
+    pub weak: ScalingTable,
 }
 
 /// A tile for growing numbers of ranks.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Table {
+pub struct ScalingTable {
     /// Whether the tile grows with the ranks.
     pub grows: bool,
     /// One row for each number of ranks: 1, 2, 4 and so on.
     pub rows: Vec<Row>,
     /// Where efficiency falls below a half, and what most of the rest is lost to.
-    pub half: Option<(usize, Bound)>,
+    pub half: Option<(usize, Bottleneck)>,
 }
 
 /// A number of ranks.
@@ -185,8 +185,8 @@ impl TileScaling {
             kernel: options.kernel.to_string(),
             draws: options.draw.draws,
             measured,
-            strong: Table::new(false, strong?),
-            weak: Table::new(true, weak?),
+            strong: ScalingTable::new(false, strong?),
+            weak: ScalingTable::new(true, weak?),
         })
     }
 }
@@ -199,7 +199,7 @@ fn grown(shape: TileShape, ranks: usize) -> Option<TileShape> {
     TileShape::new(width << across, height << down, shape.frames(), shape.spp(), shape.dims()).ok()
 }
 
-impl Table {
+impl ScalingTable {
     /// Compares predictions with that of one rank.
     fn new(grows: bool, rows: Vec<(Row, Option<Prediction>)>) -> Self {
         let first = rows.first().and_then(|(_, prediction)| *prediction);
@@ -243,7 +243,7 @@ impl Table {
     }
 }
 
-impl Bound {
+impl Bottleneck {
     /// What is lost to it, as people say it.
     fn loss(self) -> &'static str {
         match self {
@@ -317,7 +317,7 @@ impl fmt::Display for TileScaling {
     }
 }
 
-impl fmt::Display for Table {
+impl fmt::Display for ScalingTable {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(
             f,

@@ -7,7 +7,7 @@ use maud::{Markup, html};
 use super::super::ReportOptions;
 use super::super::card::Card;
 use super::figure;
-use crate::metric::{Class, ClassScore, Domain, Entry, Part, Ratio, Scores};
+use crate::metric::{Class, ClassScore, Domain, Ratio, ScoredTile, Scores, ShownScore};
 
 /// One figure of a whole tile.
 type WholeFigure = fn(&Scores) -> f64;
@@ -36,7 +36,7 @@ const MEASURES: [(&str, &str, Measure); 4] = [
 pub(super) fn section(options: &ReportOptions, cards: &[Card]) -> Markup {
     let domains = cards.iter().map(|card| Domain::of(card.entry.shape.dims()));
     let domains = domains.max_by_key(|domains| domains.len()).unwrap_or(&[]);
-    let [first, others @ ..] = Part::ALL;
+    let [first, others @ ..] = ShownScore::ALL;
     html! {
         section aria-labelledby="scores" {
             h2 #scores { "Scores" }
@@ -61,7 +61,7 @@ pub(super) fn section(options: &ReportOptions, cards: &[Card]) -> Markup {
 }
 
 /// One score of all tiles that have it.
-fn table(part: Part, domain: Domain, whole: bool, cards: &[Card]) -> Markup {
+fn table(part: ShownScore, domain: Domain, whole: bool, cards: &[Card]) -> Markup {
     let ratio = |card: &Card, class| (part.ratio)((part.scores)(&card.entry).class(class, domain)?);
     let rows: Vec<&Card> =
         cards.iter().filter(|card| ratio(card, Class::ALL[0]).is_some()).collect();
@@ -126,7 +126,7 @@ fn table(part: Part, domain: Domain, whole: bool, cards: &[Card]) -> Markup {
 }
 
 /// All scores of one tile.
-pub(super) fn of_tile(entry: &Entry) -> Markup {
+pub(super) fn of_tile(entry: &ScoredTile) -> Markup {
     let fields = [
         ("As it is", "scores", &entry.scores),
         ("After rounding to 8 bits", "after_8_bits", &entry.after_8_bits),
@@ -183,7 +183,7 @@ fn place(scores: &Scores, class: Class, domain: Domain) -> String {
     format!("classes/{}", scores.classes.iter().position(same).unwrap_or(0))
 }
 
-fn ratio_cell(entry: &Entry, pointer: &str, ratio: Ratio) -> Markup {
+fn ratio_cell(entry: &ScoredTile, pointer: &str, ratio: Ratio) -> Markup {
     html! {
         (number(entry, &format!("{pointer}/mean"), ratio.mean)) " "
         small {
@@ -192,7 +192,7 @@ fn ratio_cell(entry: &Entry, pointer: &str, ratio: Ratio) -> Markup {
     }
 }
 
-fn number(entry: &Entry, pointer: &str, value: f64) -> Markup {
+fn number(entry: &ScoredTile, pointer: &str, value: f64) -> Markup {
     html! {
         span data-tile=(entry.name) data-score=(pointer) data-value=(value.to_string()) {
             (figure(value))

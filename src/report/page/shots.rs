@@ -2,8 +2,10 @@
 
 use maud::{Markup, html};
 
-use super::super::plot::{Axis, Plot, Series};
-use super::super::renders::{Cell, Curve, Curves, Figure, Renders, Scene, Table, place};
+use super::super::plot::{Plot, PlotAxis, PlotLine};
+use super::super::renders::{
+    CurveData, Curves, Figure, Renders, Scene, TableCell, TableData, place,
+};
 use super::{command, data, figure};
 
 /// Everything about the renders.
@@ -74,11 +76,11 @@ fn scene_markup(scene: &Scene) -> Markup {
     }
 }
 
-fn table_markup(table: &Table) -> Markup {
-    let cell = |cell: &Cell| match cell {
-        Cell::Text(text) => html! { (text) },
-        Cell::Marked(marked) if marked.strong => html! { strong { (marked.text) } },
-        Cell::Marked(marked) => html! { (marked.text) },
+fn table_markup(table: &TableData) -> Markup {
+    let cell = |cell: &TableCell| match cell {
+        TableCell::Text(text) => html! { (text) },
+        TableCell::Marked(marked) if marked.strong => html! { strong { (marked.text) } },
+        TableCell::Marked(marked) => html! { (marked.text) },
     };
     html! {
         div.scroll tabindex="0" role="region" aria-label={ "Table: " (table.title) } {
@@ -105,9 +107,9 @@ fn table_markup(table: &Table) -> Markup {
 }
 
 fn plot_markup(number: usize, plot: &Curves) -> Markup {
-    let axis = |label: &String, log| Axis { label: label.clone(), log, shows: Vec::new() };
+    let axis = |label: &String, log| PlotAxis { label: label.clone(), log, shows: Vec::new() };
     let pair = |(&a, &b): (&f64, &f64)| [a, b];
-    let series = |curve: &Curve| Series {
+    let series = |curve: &CurveData| PlotLine {
         name: curve.name.clone(),
         points: curve.x.iter().zip(&curve.y).map(pair).collect(),
         band: match (&curve.low, &curve.high) {

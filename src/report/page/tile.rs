@@ -2,9 +2,9 @@
 
 use maud::{Markup, html};
 
-use super::super::card::{Card, Shown, Window};
+use super::super::card::{Card, KernelWindow, Shown};
 use super::super::pictures::{FULL, MOST};
-use super::super::plot::{Axis, Plot, Series};
+use super::super::plot::{Plot, PlotAxis, PlotLine};
 use super::super::provenance::{Match, Provenance};
 use super::{command, figure, scores, zoom};
 use crate::format::sidecar::Sidecar;
@@ -82,7 +82,7 @@ fn pixels(shown: &Shown, factor: usize, caption: &str, title: &str) -> Markup {
     }
 }
 
-fn spectrum(window: &Window, caption: &str, title: &str) -> Markup {
+fn spectrum(window: &KernelWindow, caption: &str, title: &str) -> Markup {
     let Shown { file, width, height } = &window.picture;
     let factor = zoom(*width, *height);
     let [half, far] = &window.contours;
@@ -106,12 +106,12 @@ fn spectrum(window: &Window, caption: &str, title: &str) -> Markup {
 fn radial(number: usize, card: &Card) -> Markup {
     Plot {
         title: format!("{}: error by fineness", card.title),
-        x: Axis {
+        x: PlotAxis {
             label: "distance from frequency 0, cycles per pixel or frame".into(),
             log: false,
             shows: vec![0.0],
         },
-        y: Axis { label: "power, white noise is 1".into(), log: true, shows: vec![1.0] },
+        y: PlotAxis { label: "power, white noise is 1".into(), log: true, shows: vec![1.0] },
         series: card.radial.to_vec(),
     }
     .markup(&format!("radial-{number}"))
@@ -123,9 +123,9 @@ fn convergence(card: &Card) -> Option<Plot> {
     let curve = &sidecar.convergence;
     (curve.len() > 1).then(|| Plot {
         title: format!("{}: mean transport cost of a draw", card.title),
-        x: Axis { label: "step".into(), log: true, shows: vec![1.0] },
-        y: Axis { label: "mean W₂² of a draw".into(), log: true, shows: Vec::new() },
-        series: vec![Series {
+        x: PlotAxis { label: "step".into(), log: true, shows: vec![1.0] },
+        y: PlotAxis { label: "mean W₂² of a draw".into(), log: true, shows: Vec::new() },
+        series: vec![PlotLine {
             name: "single steps".into(),
             points: curve.iter().map(|&(step, objective)| [step.into(), objective]).collect(),
             band: Vec::new(),
@@ -151,8 +151,8 @@ fn histograms(number: usize, card: &Card) -> Markup {
         }
         (Plot {
             title: format!("{}: histogram of each coordinate", card.title),
-            x: Axis { label: "coordinate".into(), log: false, shows: vec![0.0, 1.0] },
-            y: Axis {
+            x: PlotAxis { label: "coordinate".into(), log: false, shows: vec![0.0, 1.0] },
+            y: PlotAxis {
                 label: "share, even is 1".into(),
                 log: false,
                 shows: vec![1.0 - FULL, 1.0 + FULL],

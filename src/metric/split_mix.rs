@@ -22,11 +22,11 @@ pub(super) fn hash(key: &[u64]) -> u64 {
 
 /// An endless sequence of random numbers.
 #[derive(Debug, Clone)]
-pub(super) struct Stream {
+pub(super) struct SplitMix {
     state: u64,
 }
 
-impl Stream {
+impl SplitMix {
     /// The sequence that belongs to `key`.
     pub(super) fn new(key: &[u64]) -> Self {
         Self { state: hash(key) }
@@ -82,7 +82,7 @@ mod tests {
     #[test]
     fn a_stream_is_splitmix64() {
         // The first three outputs for seed 1234567, as published with the algorithm.
-        let mut stream = Stream { state: 1_234_567 };
+        let mut stream = SplitMix { state: 1_234_567 };
         let found = [stream.bits(), stream.bits(), stream.bits()];
         assert_eq!(
             found,
@@ -99,7 +99,7 @@ mod tests {
 
     #[test]
     fn directions_are_isotropic_and_of_unit_length() {
-        let mut stream = Stream::new(&[7]);
+        let mut stream = SplitMix::new(&[7]);
         for dims in [1, 2, 5] {
             let n = 4000;
             let mut second = vec![0.0; dims];

@@ -13,7 +13,7 @@ use crate::tile::{Tile, TileShape};
 
 /// One tile with its scores: as it is, and as integer textures hold it.
 #[derive(Debug, Clone, Serialize)]
-pub struct Entry {
+pub struct ScoredTile {
     /// What the tile is called, other than all tiles beside it.
     pub name: String,
     /// Where it was read; `None` for a comparison tile.
@@ -31,7 +31,7 @@ pub struct Entry {
     pub spectra: Option<Vec<ClassSpectra>>,
 }
 
-impl Entry {
+impl ScoredTile {
     /// Scores a tile three times; `scored` is told after each.
     ///
     /// # Errors
@@ -64,22 +64,22 @@ impl Entry {
 }
 
 /// One of the scores that are shown for each class of integrands: what it is called, and where it
-/// stands in an [`Entry`].
+/// stands in an [`ScoredTile`].
 #[derive(Debug, Clone, Copy)]
-pub struct Part {
+pub struct ShownScore {
     /// What tables call it.
     pub title: &'static str,
     /// The field of the entry.
     pub field: &'static str,
     /// That field.
-    pub scores: fn(&Entry) -> &Scores,
+    pub scores: fn(&ScoredTile) -> &Scores,
     /// The field of a class's scores.
     pub measure: &'static str,
     /// That field, if the tile has such a score.
     pub ratio: fn(&ClassScore) -> Option<Ratio>,
 }
 
-impl Part {
+impl ShownScore {
     /// All of them in the order in which they are shown.
     pub const ALL: [Self; 6] = [
         Self {
@@ -143,9 +143,9 @@ mod tests {
         let taps = KernelTaps::new(taps).unwrap();
         let tile = Baseline::White.tile(shape, 1);
         let options = ScoreOptions { set: 1, integrands: 2 };
-        let entry = Entry::of("a".into(), None, &tile, &taps, options, false, || ()).unwrap();
+        let entry = ScoredTile::of("a".into(), None, &tile, &taps, options, false, || ()).unwrap();
         let json = serde_json::to_value(&entry).unwrap();
-        for part in Part::ALL {
+        for part in ShownScore::ALL {
             let scores = (part.scores)(&entry);
             let edge = scores.class(Class::Edge, Domain::All).unwrap();
             let place = scores.classes.iter().position(|class| class == edge).unwrap();
