@@ -16,7 +16,7 @@
 use std::hint::black_box;
 
 use anyhow::{Context, bail};
-use perceptile::profile::access::{self, Arrangement, Listener, Order, StepDraws, Streams};
+use perceptile::profile::access::{self, Arrangement, DrawOrder, Listener, StepDraws, Streams};
 use perceptile::profile::cache::{CacheLevel, Hierarchy};
 use perceptile::profile::subject::Subject;
 use perceptile::solver::Preset;
@@ -116,7 +116,7 @@ fn main() -> anyhow::Result<()> {
     options.draw.draws = DRAWS;
     let kernel = options.kernel.resolve(options.shape)?;
     let subject = Subject::new(&options, &kernel, 1)?;
-    let streams = Streams::new(&subject, Arrangement::Rows, Order::Sorted);
+    let streams = Streams::new(&subject, Arrangement::Rows, DrawOrder::Sorted);
     let draws: Vec<StepDraws> =
         (0..STEPS).map(|step| StepDraws::new(&subject, step, u64::MAX, u64::MAX)).collect();
 

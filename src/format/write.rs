@@ -160,7 +160,7 @@ impl Staged {
     /// A file that is to be `path`; `content` fills it.
     ///
     /// # Errors
-    /// As for [`write`].
+    /// As for [`write()`].
     pub fn new(
         path: &Path,
         existing: Existing,

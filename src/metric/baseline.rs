@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::stream::{hash, mix};
+use super::split_mix::{hash, mix};
 use crate::tile::{MAX_DIMS, Tile, TileShape};
 
 /// Bits of a coordinate: all that `f32` can hold at equal spacing in `[0, 1)`.

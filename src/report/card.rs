@@ -4,7 +4,7 @@ use super::contour::contours;
 use super::error::ReportError;
 use super::folder::Folder;
 use super::pictures::{self, Slice};
-use super::plot::Series;
+use super::plot::PlotLine;
 use super::provenance::Provenance;
 use super::samples::Crop;
 use crate::format::picture::Image;

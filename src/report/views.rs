@@ -3,9 +3,11 @@
 
 use serde::Serialize;
 
-use super::planes::Planes;
+use super::planes::KernelPlanes;
 use super::samples::Crop;
-use crate::kernel::{Class, ClassKind, Factor, KernelClass, KernelError, KernelSpec, Truncation};
+use crate::kernel::{
+    ClassKind, ClassSpec, Factor, KernelClass, KernelError, KernelSpec, Truncation,
+};
 use crate::tile::TileShape;
 
 /// Part of its weight that a kernel with TAA must keep in the frames of the shortest tile, to be
@@ -113,7 +115,8 @@ impl Average {
 
     fn spec(&self, truncation: Option<Truncation>) -> Result<KernelSpec, String> {
         let kind = ClassKind::Product { factors: vec![self.factor.clone()], truncation };
-        KernelSpec::new(vec![Class { weight: 1.0, kind }]).map_err(|problem| problem.to_string())
+        KernelSpec::new(vec![ClassSpec { weight: 1.0, kind }])
+            .map_err(|problem| problem.to_string())
     }
 }
 

@@ -2,7 +2,7 @@
 
 use perceptile::metric::{Class, Domain, Ratio, ScoredTile, ShownScore};
 
-use super::Report;
+use super::Evaluation;
 
 /// Characters of a column of numbers.
 const COLUMN: usize = 16;
