@@ -11,18 +11,24 @@ import axe from 'axe-core';
 import { chromium } from 'playwright-core';
 import { writeFixture } from './fixture.mjs';
 
+/** Milliseconds that nothing takes, also on a busy machine: what hangs is to fail, and not to hang. */
+const LONG = 300000;
+
 export const REPORT = process.env.REPORT ? resolve(process.env.REPORT) : null;
 
 export const launch = () =>
   chromium.launch({
     executablePath: process.env.CHROMIUM ?? '/usr/bin/chromium',
     args: ['--no-sandbox', '--disable-gpu'],
+    timeout: LONG,
   });
 
-/** A folder that `remove` takes away again. */
+/** A folder that `remove` takes away again, or the end of the tests. */
 export function temporary() {
   const folder = mkdtempSync(join(tmpdir(), 'perceptile-browser-'));
-  return { folder, remove: () => rmSync(folder, { recursive: true, force: true }) };
+  const remove = () => rmSync(folder, { recursive: true, force: true });
+  process.on('exit', remove);
+  return { folder, remove };
 }
 
 /** The report under test: REPORT, or the fixture. */
@@ -47,16 +53,25 @@ export function samplesOf(folder, { file }) {
   return Uint16Array.from({ length: bytes.length / 2 }, (_, i) => bytes.readUInt16LE(2 * i));
 }
 
+/** A context for pages whose waits have an end. */
+export async function newContext(browser, options) {
+  const context = await browser.newContext(options);
+  context.setDefaultTimeout(LONG);
+  return context;
+}
+
 /**
  * Opens the report. Closing it fails if the page complained or asked for what is not its own.
  *
  * @param {import('playwright-core').Browser} browser
  * @param {string} folder
- * @param {object} options of the browser's context
+ * @param {object} options of the browser's context; and `still`: once the page is ready, time passes
+ *   in it by `page.clock.runFor` alone, however fast the machine is
  */
-export async function open(browser, folder, options = {}) {
-  const context = await browser.newContext({ viewport: { width: 1200, height: 1000 }, reducedMotion: 'reduce', ...options });
+export async function open(browser, folder, { still = false, ...options } = {}) {
+  const context = await newContext(browser, { viewport: { width: 1200, height: 1000 }, reducedMotion: 'reduce', ...options });
   const page = await context.newPage();
+  if (still) await page.clock.install();
   const home = pathToFileURL(folder).href + '/';
   const complaints = [];
   page.on('console', (message) => ['error', 'warning'].includes(message.type()) && complaints.push(message.text()));
@@ -69,6 +84,7 @@ export async function open(browser, folder, options = {}) {
   await page.goto(`${home}index.html`);
   await page.locator('#viewer').scrollIntoViewIfNeeded();
   await ready(page);
+  if (still) await page.clock.pauseAt(await page.evaluate(() => Date.now() + 1000));
   const close = async () => {
     assert.deepEqual(complaints, []);
     await context.close();
@@ -78,7 +94,7 @@ export async function open(browser, folder, options = {}) {
 
 /** Waits until what is asked for is shown. */
 export async function ready(page) {
-  await page.waitForSelector('#viewer[data-state=ready]', { timeout: 60000 });
+  await page.waitForSelector('#viewer[data-state=ready]');
   await settle(page);
 }
 
@@ -94,6 +110,19 @@ function readCanvases() {
     return copy.getImageData(0, 0, canvas.width, canvas.height);
   });
 }
+
+/** Counts the pictures that are painted into the first canvas, from the first call on. */
+export const paints = (page) =>
+  page.evaluate(() => (window.paints ??= (() => {
+    const state = { count: 0 };
+    const context = document.querySelector('#viewer .pv-canvas').getContext('2d');
+    const put = context.putImageData.bind(context);
+    context.putImageData = (...all) => {
+      state.count += 1;
+      put(...all);
+    };
+    return state;
+  })()).count);
 
 /** The greys of a picture, row by row. */
 export const greys = (page, number) =>

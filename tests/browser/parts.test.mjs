@@ -329,7 +329,7 @@ test('a tile that holds too little says so', () => {
 test('the queue does what is wanted last, and tells of failures', () => {
   const messages = [];
   const later = [];
-  const queue = new viewer.Queue((message) => messages.push(message), 1000, (run) => later.push(run));
+  const queue = new viewer.Queue((message) => messages.push(message), Infinity, (run) => later.push(run));
   const settle = () => {
     while (later.length > 0) later.shift()();
   };

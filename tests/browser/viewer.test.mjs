@@ -7,7 +7,7 @@ import { join } from 'node:path';
 import test, { after, before } from 'node:test';
 import { whiteNoise, writeFixture, writeLarge, writeReport } from './fixture.mjs';
 import {
-  REPORT, breaches, dataOf, greys, launch, open, pictures, ratios, ready, report, samplesOf, settle, slide, temporary,
+  REPORT, breaches, dataOf, greys, launch, newContext, open, paints, pictures, ratios, ready, report, samplesOf, settle, slide, temporary,
 } from './harness.mjs';
 
 let browser;
@@ -284,7 +284,7 @@ test('a slider that is dragged fast ends at its last value', async () => {
   await close();
 });
 
-test('playback starts, stops, steps and keeps its speed', async (t) => {
+test('playback steps', async () => {
   const { page, close } = await open(browser, made.folder);
   const viewer = page.locator('#viewer');
   const frame = async () => Number(await page.getAttribute('#viewer', 'data-frame'));
@@ -300,35 +300,29 @@ test('playback starts, stops, steps and keeps its speed', async (t) => {
   await slide(page, 'Frame', 1);
   await settle(page);
   assert.equal(await pictures(page), first);
+  await close();
+});
 
-  const play = viewer.getByRole('button', { name: 'Play' });
+test('playback starts, stops and keeps its speed', async () => {
+  const { page, close } = await open(browser, made.folder, { still: true });
+  const viewer = page.locator('#viewer');
   const shown = async (speed) => {
     await viewer.getByLabel('Speed').selectOption({ label: speed });
-    return page.evaluate(async () => {
-      const clicks = { seen: 0, before: null };
-      const end = performance.now() + 1500;
-      const canvas = document.querySelector('#viewer .pv-canvas');
-      const put = canvas.getContext('2d').putImageData;
-      canvas.getContext('2d').putImageData = function (...all) {
-        clicks.seen += 1;
-        return put.apply(this, all);
-      };
-      while (performance.now() < end) await new Promise(requestAnimationFrame);
-      delete canvas.getContext('2d').putImageData;
-      return clicks.seen / 1.5;
-    });
+    await page.clock.runFor(160);
+    const before = await paints(page);
+    await page.clock.runFor(1600);
+    return (await paints(page)) - before;
   };
-  await play.click();
-  await viewer.getByRole('button', { name: 'Pause' }).waitFor();
-  const full = await shown('full');
-  const quarter = await shown('¼');
-  t.diagnostic(`frames shown a second: ${full.toFixed(1)}, at a quarter ${quarter.toFixed(1)}`);
-  assert.ok(full <= data.fps * 1.1 && full > quarter * 1.5, `${full} and ${quarter}`);
-  assert.ok(Math.abs(quarter - data.fps / 4) < data.fps / 12, `${quarter}`);
+  await viewer.getByRole('button', { name: 'Play' }).click();
+  // A display that is refreshed every 16 ms counts as one of 60 frames a second.
+  for (const [speed, share] of [['full', 1], ['½', 1 / 2], ['¼', 1 / 4]]) {
+    const frames = await shown(speed);
+    assert.ok(Math.abs(frames / (1.6 * data.fps * share) - 1) < 0.06, `${speed}: ${frames} in 1.6 s`);
+  }
   await viewer.getByRole('button', { name: 'Pause' }).click();
-  await settle(page);
+  await page.clock.runFor(100);
   const paused = await pictures(page);
-  await page.waitForTimeout(200);
+  await page.clock.runFor(200);
   assert.equal(await pictures(page), paused);
   await close();
 });
@@ -346,21 +340,15 @@ test('the slider of the frame says of how many', { skip: REPORT !== null }, asyn
 });
 
 test('while it plays, the slider of the frame moves', { skip: REPORT !== null }, async () => {
-  const { page, close } = await open(browser, made.folder);
-  for (const name of ['Tile 1', 'Tile 2']) await page.getByLabel(name).selectOption('1');
-  await ready(page);
+  const { page, close } = await open(browser, made.folder, { still: true });
   await page.locator('#viewer').getByRole('button', { name: 'Play' }).click();
-  const seen = await page.evaluate(async () => {
-    const slider = document.querySelector('#viewer .pv-transport input');
-    const values = new Set();
-    const end = performance.now() + 2000;
-    while (performance.now() < end) {
-      await new Promise(requestAnimationFrame);
-      values.add(slider.value);
-    }
-    return values.size;
-  });
-  assert.ok(seen >= 3, `${seen} of ${data.tiles[1].frames} frames`);
+  const slider = page.locator('#viewer').getByRole('slider', { name: 'Frame' });
+  const seen = new Set();
+  for (let turn = 0; turn < 8; turn += 1) {
+    await page.clock.runFor(250);
+    seen.add(await slider.inputValue());
+  }
+  assert.ok(seen.size >= 3, [...seen].join());
   await close();
 });
 
@@ -432,8 +420,17 @@ test('a pause and another speed do not make the display slow', async () => {
   // A display of exactly 60 refreshes a second, whatever this machine has.
   await page.evaluate(() => {
     let time = performance.now();
-    window.requestAnimationFrame = (run) => setTimeout(() => run((time = Math.max(time + 1000 / 60, window.leap ?? 0))), 4);
+    window.refreshes = 0;
+    const refresh = (run) => {
+      window.refreshes += 1;
+      run((time = Math.max(time + 1000 / 60, window.leap ?? 0)));
+    };
+    window.requestAnimationFrame = (run) => setTimeout(() => refresh(run), 4);
   });
+  const seconds = async (count) => {
+    const end = (await page.evaluate(() => window.refreshes)) + 60 * count;
+    await page.waitForFunction((all) => window.refreshes >= all, end, { polling: 50 });
+  };
   await page.evaluate(() => {
     window.told = new Set();
     const status = document.querySelector('#viewer .pv-status');
@@ -442,15 +439,15 @@ test('a pause and another speed do not make the display slow', async () => {
   const play = viewer.getByRole('button', { name: 'Play' });
   const pause = viewer.getByRole('button', { name: 'Pause' });
   await play.click();
-  await page.waitForTimeout(700);
+  await seconds(2.5);
   await pause.click();
   await page.evaluate(() => (window.leap = performance.now() + 60000));
   await play.click();
-  await page.waitForTimeout(700);
+  await seconds(2.5);
   await viewer.getByLabel('Speed').selectOption({ label: '¼' });
-  await page.waitForTimeout(700);
+  await seconds(2.5);
   await viewer.getByLabel('Speed').selectOption({ label: 'full' });
-  await page.waitForTimeout(700);
+  await seconds(2.5);
   const told = await page.evaluate(() => [...window.told].filter((text) => text.startsWith('This display')));
   assert.deepEqual(told, []);
   await close();
@@ -589,30 +586,24 @@ test('what is left and right of the divider are the two tiles', async () => {
 });
 
 test('flicker takes turns by itself and by hand', async () => {
-  const { page, close } = await open(browser, made.folder, { reducedMotion: 'no-preference' });
+  const { page, close } = await open(browser, made.folder, { reducedMotion: 'no-preference', still: true });
   await radio(page, 'Flicker').check();
-  await ready(page);
   const stage = page.locator('#viewer .pv-stage');
-  const turns = await stage.evaluate(async (node) => {
-    let count = 0;
-    const watch = new MutationObserver((records) => (count += records.length));
-    watch.observe(node, { attributes: true, attributeFilter: ['data-turn'] });
-    await new Promise((done) => setTimeout(done, 2100));
-    watch.disconnect();
-    return count;
-  });
-  assert.ok(turns >= 3 && turns <= 5, `${turns} turns in 2.1 s`);
-  await page.locator('#viewer').getByRole('button', { name: 'Show the other' }).click();
   const turn = () => stage.getAttribute('data-turn');
+  for (const expected of ['0', '1', '0', '1']) {
+    assert.equal(await turn(), expected, 'two turns a second');
+    await page.clock.runFor(500);
+  }
+  await page.locator('#viewer').getByRole('button', { name: 'Show the other' }).click();
   const before = await turn();
-  await page.waitForTimeout(700);
+  await page.clock.runFor(700);
   assert.equal(await turn(), before, 'by hand it stays');
   await page.keyboard.press('t');
   assert.notEqual(await turn(), before);
   assert.equal(await page.locator('#viewer').getByLabel('Turns').inputValue(), '0');
   await page.locator('#viewer').getByLabel('Turns').selectOption('4');
-  const quick = await turn();
-  await page.waitForFunction((was) => document.querySelector('#viewer .pv-stage').dataset.turn !== was, quick, { timeout: 1000 });
+  await page.clock.runFor(250);
+  assert.equal(await turn(), before);
   await close();
 });
 
@@ -831,9 +822,9 @@ for (const colorScheme of ['light', 'dark']) {
 
 test('it plays by itself, unless less motion is wished', async () => {
   for (const reducedMotion of ['reduce', 'no-preference']) {
-    const { page, close } = await open(browser, made.folder, { reducedMotion });
+    const { page, close } = await open(browser, made.folder, { reducedMotion, still: true });
     const before = await pictures(page);
-    await page.waitForTimeout(150);
+    await page.clock.runFor(150);
     const moves = (await pictures(page)) !== before;
     assert.equal(moves, reducedMotion === 'no-preference');
     await radio(page, 'Flicker').check();
@@ -843,15 +834,18 @@ test('it plays by itself, unless less motion is wished', async () => {
 });
 
 test('out of sight it rests', async () => {
-  const { page, close } = await open(browser, made.folder, { reducedMotion: 'no-preference', viewport: { width: 1200, height: 400 } });
+  const { page, close } = await open(browser, made.folder, { reducedMotion: 'no-preference', viewport: { width: 1200, height: 400 }, still: true });
   await page.evaluate(() => {
     document.getElementById('viewer').style.marginTop = '3000px';
     window.scrollTo(0, 0);
   });
-  await page.waitForTimeout(300);
-  const before = await pictures(page);
-  await page.waitForTimeout(200);
-  assert.equal(await pictures(page), before);
+  // The browser says what is in sight when it has the time.
+  let [before, now] = [null, await pictures(page)];
+  for (let look = 0; look < 1000 && now !== before; look += 1) {
+    await page.clock.runFor(200);
+    [before, now] = [now, await pictures(page)];
+  }
+  assert.equal(now, before);
   await close();
 });
 
@@ -914,8 +908,8 @@ test('scenes are compared, with the reference at hand', async (t) => {
   // After turns by hand, and where less motion is wished, they can still be had by themselves.
   assert.equal(await root.getByLabel('Turns').inputValue(), '0');
   await root.getByLabel('Turns').selectOption('4');
-  await root.locator('.pv-stage[data-turn="1"]').waitFor({ timeout: 1000 });
-  await root.locator('.pv-stage[data-turn="0"]').waitFor({ timeout: 1000 });
+  await root.locator('.pv-stage[data-turn="1"]').waitFor();
+  await root.locator('.pv-stage[data-turn="0"]').waitFor();
 
   await slide(page, 'Zoom', 4, '.pv-scenes');
   assert.match(await place(), /^4 0\.0 0\.0$/);
@@ -952,7 +946,7 @@ test('scenes are compared, with the reference at hand', async (t) => {
 
 test('without script the pictures of the scenes are there', async (t) => {
   if (!scenes) return t.skip('no renders in this report');
-  const context = await browser.newContext({ javaScriptEnabled: false });
+  const context = await newContext(browser, { javaScriptEnabled: false });
   const page = await context.newPage();
   await page.goto(`file://${made.folder}/index.html`);
   assert.ok((await page.locator('#scenes img:visible').count()) >= scenes.length);
@@ -990,53 +984,47 @@ test('a frame of four large tiles is quick, once it is prepared', async (t) => {
   // The other views are worked out ahead; then the page has nothing to do but play.
   await page.waitForTimeout(4000);
   const session = await context.newCDPSession(page);
-  await session.send('Performance.enable');
+  // Of a processor's time, as the machine may be busy with other things.
+  await session.send('Performance.enable', { timeDomain: 'threadTicks' });
   const metrics = async () => Object.fromEntries((await session.send('Performance.getMetrics')).metrics.map(({ name, value }) => [name, value]));
-  const painted = () => page.evaluate(() => (window.paints ??= (() => {
-    const state = { count: 0 };
-    const canvas = document.querySelector('#viewer .pv-canvas');
-    const context = canvas.getContext('2d');
-    const put = context.putImageData.bind(context);
-    context.putImageData = (...all) => {
-      state.count += 1;
-      put(...all);
-    };
-    return state;
-  })()).count);
-  const [frames, before] = [await painted(), await metrics()];
-  await page.waitForTimeout(4000);
-  const [count, now] = [(await painted()) - frames, await metrics()];
-  const per = (name) => ((1000 * (now[name] - before[name])) / count).toFixed(2);
-  const median = Number(await page.getAttribute('#viewer', 'data-frame-ms'));
+  const [frames, before] = [await paints(page), await metrics()];
+  await page.waitForFunction((all) => window.paints.count >= all, frames + 120, { polling: 250 });
+  const [count, now] = [(await paints(page)) - frames, await metrics()];
+  const per = (name) => (1000 * (now[name] - before[name])) / count;
   const sizes = await page.locator('#viewer .pv-canvas').evaluateAll((all) => all.map(({ width, height }) => `${width} × ${height}`));
-  t.diagnostic(`script and drawing of a frame: median ${median} ms (${sizes.join(', ')})`);
-  t.diagnostic(`${(count / 4).toFixed(1)} frames a second; per frame ${per('ScriptDuration')} ms script, ${per('TaskDuration')} ms main thread in all`);
-  assert.ok(median > 0 && median <= 16, `${median} ms`);
+  t.diagnostic(`a frame takes a median of ${await page.getAttribute('#viewer', 'data-frame-ms')} ms (${sizes.join(', ')})`);
+  t.diagnostic(`per frame ${per('ScriptDuration').toFixed(2)} ms script, ${per('ThreadTime').toFixed(2)} ms main thread in all`);
+  assert.ok(per('ScriptDuration') <= 16, `${per('ScriptDuration')} ms`);
   await close();
   large.remove();
 });
 
 test('while it prepares, no script holds the page up', async (t) => {
   const { page, close } = await open(browser, made.folder, { reducedMotion: 'no-preference' });
-  const longest = await page.evaluate(async () => {
-    const tasks = [];
-    new PerformanceObserver((list) => tasks.push(...list.getEntries().map(({ duration }) => duration))).observe({ type: 'longtask' });
+  await browser.startTracing(page, { categories: ['toplevel'] });
+  await page.evaluate(async () => {
     const angle = [...document.querySelectorAll('#viewer input[type=range]')].find((input) => input.labels[0].textContent === 'Angle');
     for (let value = 0; value < 40; value += 1) {
       angle.value = String(value);
       angle.dispatchEvent(new Event('input', { bubbles: true }));
       await new Promise((done) => setTimeout(done, 30));
     }
-    return Math.max(0, ...tasks);
   });
-  t.diagnostic(`longest task while a slider moves: ${longest === 0 ? 'below 50' : longest.toFixed(0)} ms`);
-  assert.ok(longest < 200, `${longest} ms`);
+  const { traceEvents } = JSON.parse(await browser.stopTracing());
+  const mains = traceEvents.filter(({ name, args }) => name === 'thread_name' && args.name === 'CrRendererMain');
+  const tasks = traceEvents.filter(({ name, pid, tid }) => /RunTask$/.test(name) && mains.some((main) => main.pid === pid && main.tid === tid));
+  // Of a processor's time, in microseconds.
+  const times = tasks.map(({ tdur }) => tdur).filter((time) => time !== undefined);
+  assert.ok(times.length > 100, `${times.length} of ${tasks.length} tasks`);
+  const longest = Math.max(...times) / 1000;
+  t.diagnostic(`longest of ${times.length} tasks while a slider moves: ${longest.toFixed(1)} ms`);
+  assert.ok(longest < 100, `${longest} ms`);
   await ready(page);
   await close();
 });
 
 test('where no worker may be had, the page does the work itself', { skip: REPORT !== null }, async () => {
-  const context = await browser.newContext({ reducedMotion: 'reduce', viewport: { width: 1200, height: 1000 } });
+  const context = await newContext(browser, { reducedMotion: 'reduce', viewport: { width: 1200, height: 1000 } });
   const page = await context.newPage();
   await page.addInitScript(() => {
     window.Worker = class {

@@ -3,18 +3,18 @@
 use std::fs;
 use std::io::{self, PipeWriter};
 use std::os::unix::fs::PermissionsExt;
-use std::path::Path;
-use std::process::{Child, Command, Output, Stdio};
-use std::time::{Duration, Instant};
+use std::path::PathBuf;
+use std::process::{Command, Output, Stdio};
 
 use perceptile::format::sidecar::{Sidecar, digest};
 use perceptile::format::source::TileSource;
 use perceptile::tile::Tile;
 use proptest::prelude::*;
+use rustix::process::Signal;
 use serde_json::Value;
-use tempfile::TempDir;
 
-const PROGRAM: &str = env!("CARGO_BIN_EXE_perceptile");
+use crate::child::output;
+use crate::tool::{LEASH, PROGRAM, Room, Run, caught};
 
 /// A run that takes no time.
 const SMALL: &[&str] = &[
@@ -55,15 +55,15 @@ const LONG: &[&str] = &[
 ];
 
 /// What a command did, in a folder of its own.
-struct Folder(TempDir);
+struct Folder(Room);
 
 impl Folder {
     fn new() -> Self {
-        Self(tempfile::tempdir().unwrap())
+        Self(Room::new())
     }
 
-    fn path(&self) -> &Path {
-        self.0.path()
+    fn path(&self) -> PathBuf {
+        self.0.at("")
     }
 
     fn command(&self, args: &[&str]) -> Command {
@@ -73,7 +73,7 @@ impl Folder {
     }
 
     fn run(&self, args: &[&str]) -> Output {
-        self.command(args).stdin(Stdio::null()).output().unwrap()
+        output(&mut self.command(args))
     }
 
     /// Runs what must succeed without a word on the standard error; returns what it printed.
@@ -87,7 +87,6 @@ impl Folder {
     /// Runs what must fail with an exit code, and a message with all the words; it leaves no file.
     fn fail(&self, args: &[&str], code: i32, words: &[&str]) {
         let before = self.names();
-        let begin = Instant::now();
         let output = self.run(args);
         let error = text(&output.stderr);
         assert_eq!(output.status.code(), Some(code), "{args:?}: {error}");
@@ -96,17 +95,11 @@ impl Folder {
         }
         assert!(error.starts_with("error: "), "{args:?}: {error}");
         assert!(!error.contains("panicked"), "{args:?}: {error}");
-        assert!(begin.elapsed() < Duration::from_secs(60), "{args:?} took its time to fail");
         assert_eq!(self.names(), before, "{args:?}");
     }
 
     fn names(&self) -> Vec<String> {
-        let mut names: Vec<String> = fs::read_dir(self.path())
-            .unwrap()
-            .map(|entry| entry.unwrap().file_name().into_string().unwrap())
-            .collect();
-        names.sort();
-        names
+        self.0.names("")
     }
 
     fn write(&self, name: &str, content: impl AsRef<[u8]>) {
@@ -114,7 +107,7 @@ impl Folder {
     }
 
     fn read(&self, name: &str) -> Vec<u8> {
-        fs::read(self.path().join(name)).unwrap()
+        self.0.read(name)
     }
 
     /// The tile of a run and its provenance, which must belong together.
@@ -213,7 +206,7 @@ fn wrong_arguments_are_refused() {
         (&["--workers", "5000"], &["5000 workers are too many"]),
         (&["--workers", "1000", "--threads", "1000"], &["1000000 threads of all workers"]),
         (&["--pin"], &["--workers"]),
-        (&["--checkpoint", "5"], &["60s", "500steps"]),
+        (&["--checkpoint", "0"], &["more than 0"]),
         (&["--threads", "-1"], &["-1"]),
         (&["--threads", "1000000000"], &["1000000000", "1024"]),
         (&["--integrands", "65537"], &["65537", "65536"]),
@@ -407,62 +400,30 @@ fn a_dry_run_says_what_there_is_to_do_and_does_nothing() {
     assert!(folder.names().is_empty());
 }
 
-/// Starts the long run and waits until it is on its way.
-fn start(folder: &Folder, more: &[&str]) -> Child {
-    // The time is a leash, should no signal arrive.
-    let mut command = folder.command(&[LONG, more, &["--time", "2m"]].concat());
-    let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
-    // Handlers are installed when SigCgt names both signals.
-    let caught = (1_u64 << 1) | (1 << 14);
-    let status = format!("/proc/{}/status", child.id());
-    for _ in 0..600 {
-        let mask = fs::read_to_string(&status).ok().and_then(|text| {
-            let line =
-                text.lines().find_map(|line| line.strip_prefix("SigCgt:"))?.trim().to_owned();
-            u64::from_str_radix(&line, 16).ok()
-        });
-        if mask.is_some_and(|mask| mask & caught == caught) {
-            return child;
-        }
-        std::thread::sleep(Duration::from_millis(100));
-    }
-    child.kill().unwrap();
-    child.wait().unwrap();
-    panic!("the run does not listen to signals");
-}
-
-fn send(child: &Child, signal: &str) {
-    let line = format!("kill -{signal} {}", child.id());
-    assert!(Command::new("sh").args(["-c", &line]).status().unwrap().success());
+/// Starts the long run.
+fn start(folder: &Folder, more: &[&str]) -> Run {
+    let leash: Vec<&str> = LEASH.split(' ').collect();
+    folder.0.start_as(folder.command(&[LONG, more, &leash].concat()))
 }
 
 #[test]
 fn signals_end_a_run_and_leave_its_tile() {
-    for (signal, code) in [("INT", 130), ("TERM", 143)] {
+    for (signal, code) in [(Signal::INT, 130), (Signal::TERM, 143)] {
         let folder = Folder::new();
-        let child = start(&folder, &["--threads", "2"]);
-        std::thread::sleep(Duration::from_millis(300));
-        send(&child, signal);
-        let output = child.wait_with_output().unwrap();
-        assert_eq!(output.status.code(), Some(code), "{}", text(&output.stderr));
-        assert!(text(&output.stdout).contains("interrupted"), "{}", text(&output.stdout));
-        assert_eq!(text(&output.stderr), "");
+        let mut run = start(&folder, &["--threads", "2", "--checkpoint", "5steps"]);
+        run.until_checkpoint(&folder.0, "tile.run", 0);
+        run.send(signal);
+        let ended = run.end();
+        assert_eq!(ended.code(), Some(code), "{ended:?}");
+        assert!(ended.error.starts_with("stopping: "), "{ended:?}");
+        assert!(ended.out.contains("interrupted"), "{}", ended.out);
         // The run can go on, as it says.
         assert_eq!(folder.names(), ["tile.json", "tile.npy", "tile.png", "tile.run"]);
-        assert!(text(&output.stdout).contains("perceptile resume tile.run"));
+        assert!(ended.out.contains("perceptile resume tile.run"));
         let (_, sidecar) = folder.tile("tile.npy");
         assert!(sidecar.command.contains("--stop-after"), "{}", sidecar.command);
-
         // The command on record is for a shell, and makes the same bytes.
-        let words = sidecar.command.strip_prefix("perceptile ").unwrap();
-        let line = format!("\"$0\" {words} --out again.npy --integrands 0 --threads 1");
-        let again = Command::new("sh")
-            .args(["-c", &line, PROGRAM])
-            .current_dir(folder.path())
-            .output()
-            .unwrap();
-        assert!(again.status.success(), "{line}: {}", text(&again.stderr));
-        assert_eq!(folder.read("tile.npy"), folder.read("again.npy"));
+        folder.0.tile_so_far();
     }
 }
 
@@ -470,12 +431,13 @@ fn signals_end_a_run_and_leave_its_tile() {
 fn a_second_signal_ends_a_run_at_once() {
     let folder = Folder::new();
     // The uniformity step that the first signal leads to would take for ever.
-    let mut child = start(&folder, &["--warp", "4000000000"]);
-    send(&child, "INT");
-    std::thread::sleep(Duration::from_millis(500));
-    assert!(child.try_wait().unwrap().is_none());
-    send(&child, "INT");
-    assert_eq!(child.wait().unwrap().code(), Some(130));
+    let mut run = start(&folder, &["--warp", "4000000000", "--checkpoint", "1h"]);
+    run.until("it listens", |run| caught(run.pid(), &[Signal::INT, Signal::TERM]));
+    run.send(Signal::INT);
+    // Nothing else has it write one so soon.
+    run.until_checkpoint(&folder.0, "tile.run", 0);
+    run.send(Signal::INT);
+    assert_eq!(run.end().code(), Some(130));
     assert_eq!(folder.names(), ["tile.run"]);
 }
 
@@ -711,7 +673,7 @@ fn a_profile_as_json_adds_up() {
     let profile: Value = serde_json::from_str(&text).unwrap();
     let number = |value: &Value| value.as_f64().unwrap_or_else(|| panic!("{value}"));
     let sum = |value: &Value| value.as_array().unwrap().iter().map(number).sum::<f64>();
-    assert_eq!(profile["format"], 1);
+    assert_eq!(profile["format"], 2);
     let stages = profile["stages"].as_array().unwrap();
     assert!(stages.iter().map(|row| row["stage"].as_str().unwrap()).eq(STAGES));
 
@@ -772,14 +734,14 @@ fn a_profile_leaves_a_trace_and_a_picture_and_replaces_nothing() {
     assert!(steps.windows(2).all(|pair| pair[0].1 <= pair[1].0));
     // Each piece of work lies within its step, and stages within a piece of their thread.
     let mut pieces = Vec::new();
-    for event in named("pull").chain(named("update")) {
+    for event in named("gradient").chain(named("update")) {
         let (begin, end) = steps[event["args"]["step"].as_u64().unwrap() as usize];
         let (from, to) = ends(event);
         assert!(begin <= from && to <= end + 1e-3, "{event}");
         pieces.push((&event["tid"], from, to));
     }
     // Four cells (at most as many blocks), 20 lines, in each of the steps.
-    assert!(named("pull").count() <= 48 && named("update").count() == 12 * 20);
+    assert!(named("gradient").count() <= 48 && named("update").count() == 12 * 20);
     for stage in &STAGES[..8] {
         assert!(named(stage).count() > 0, "no {stage}");
         for event in named(stage) {
@@ -802,9 +764,11 @@ fn a_profile_leaves_a_trace_and_a_picture_and_replaces_nothing() {
 #[test]
 fn a_profile_of_workers_tells_of_each() {
     let folder = Folder::new();
-    let args = [PROFILE, &["--workers", "2", "--json", "--trace", "trace.json"]].concat();
+    // Long enough for a coordinator on a busy machine to see the descent, whose time it takes.
+    let args = ["--measure", "1", "--workers", "2", "--json", "--trace", "trace.json"];
+    let args = [&PROFILE[..PROFILE.len() - 2], &args].concat();
     let profile: Value = serde_json::from_str(&folder.succeed(&args)).unwrap();
-    let crew = &profile["crew"];
+    let crew = &profile["workers"];
     assert_eq!(crew["threads"], 2);
     let number = |value: &Value| value.as_f64().unwrap();
     assert!(number(&crew["synchronisation"]) > 0.0 && number(&crew["step"]) > 0.0, "{crew}");

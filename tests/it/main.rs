@@ -1,8 +1,11 @@
 //! The integration tests, one module for each room.
 
+mod child;
 #[cfg(target_os = "linux")]
 mod command;
 mod determinism;
+#[cfg(target_os = "linux")]
+mod failures;
 mod format;
 mod gradient;
 #[cfg(target_os = "linux")]

@@ -16,6 +16,8 @@ use perceptile::tile::TileShape;
 use serde_json::Value;
 use tempfile::TempDir;
 
+use crate::child::output;
+
 /// The caches, smaller than real ones, so that a short stream fills them.
 const D1: &str = "32768,8,64";
 const L2: &str = "262144,8,64";
@@ -57,15 +59,15 @@ fn misses(file: &str) -> [u64; 2] {
 fn run(last: &str) -> (Vec<u64>, [u64; 2]) {
     let folder = TempDir::new().unwrap();
     let out = folder.path().join("cachegrind.out");
-    let run = Command::new("valgrind")
+    let mut command = Command::new("valgrind");
+    command
         .args(["--tool=cachegrind", "--cache-sim=yes", "--I1=32768,8,64"])
         .arg(format!("--D1={D1}"))
         .arg(format!("--LL={last}"))
         .arg(format!("--cachegrind-out-file={}", out.display()))
         .arg(example("replay"))
-        .args([D1, L2, L3])
-        .output()
-        .unwrap();
+        .args([D1, L2, L3]);
+    let run = output(&mut command);
     assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
     let model: Value = serde_json::from_slice(&run.stdout).unwrap();
     let levels = model["levels"].as_array().unwrap();
@@ -229,7 +231,7 @@ fn scaling_shows_tables_up_to_the_last_cell_and_a_picture() {
         let mut command = Command::new(env!("CARGO_BIN_EXE_perceptile"));
         command.args(["profile", "--scaling", "--measure", "0.01", "--threads", "1"]);
         command.args(["--tile", "64x32x8", "--kernel", "gaussian(1) @ 5x5x4", "--draws", "100"]);
-        command.args(["--most-ranks", "16"]).args(arguments).output().unwrap()
+        output(command.args(["--most-ranks", "16"]).args(arguments))
     };
     let out = run(&["--json", "--rank-threads", "1", "--picture", picture.to_str().unwrap()]);
     assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
@@ -238,7 +240,8 @@ fn scaling_shows_tables_up_to_the_last_cell_and_a_picture() {
     let tile = &found["tiles"][0];
     for cost in ["sample", "coordinate", "patch_word", "packed_byte", "unpacked_byte", "round"] {
         let cost = tile["measured"]["costs"][cost].as_f64().unwrap();
-        assert!(cost > 0.0 && cost < 1e-3, "{cost}");
+        // Of seconds, as on a busy machine even a round takes less; nanoseconds would be more.
+        assert!(cost > 0.0 && cost < 0.1, "{cost}");
     }
     let rows = |table: &str| tile[table]["rows"].as_array().unwrap().clone();
     let ranks: Vec<u64> = rows("strong").iter().map(|row| row["ranks"].as_u64().unwrap()).collect();

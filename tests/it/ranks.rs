@@ -2,23 +2,28 @@
 //! whatever happens to them. Needs `mpirun`; ranks share the cores of this machine.
 
 use std::process::{Command, Stdio};
-use std::thread::sleep;
-use std::time::{Duration, Instant};
 
 use perceptile::kernel::KernelSpec;
-use perceptile::run::program::Program;
-use perceptile::solver::{HaloTraffic, Options, Preset, Team};
+use perceptile::run::plan::Plan;
+use perceptile::solver::{HaloTraffic, Options, Parallelism, Preset};
 use perceptile::tile::TileShape;
 use rustix::process::Signal;
 
-use crate::tool::{Ended, PROGRAM, Room, Run, send};
+use crate::tool::{Ended, LEASH, PROGRAM, Room, Run, send};
 
 /// What the tiles of tests have in common.
 const PLAIN: &str = "optimize --integrands 0 --force --seed 7";
 
-/// A run with time to be ended in its descent or its polish.
-const LASTING: &str = "--tile 37x66x8 --start random --steps 900 --draws 500 --polish 300 \
-                       --warp 20 --kernel gaussian(1)*ema(0.5)@3x3x4";
+/// A run that goes on until it is told to stop, after so many steps of its descent in its polish.
+fn endless(steps: u64) -> String {
+    format!(
+        "{PLAIN} --tile 37x66x8 --start random --steps {steps} --draws 500 --polish 4000000000 \
+         --warp 20 --kernel gaussian(1)*ema(0.5)@3x3x4 {LEASH}"
+    )
+}
+
+/// A number of steps that nothing comes to the end of.
+const MANY: u64 = 4_000_000_000;
 
 /// Starts this program on so many ranks.
 fn start(room: &Room, ranks: usize, line: &str) -> Run {
@@ -26,7 +31,7 @@ fn start(room: &Room, ranks: usize, line: &str) -> Run {
     command.args(["--allow-run-as-root", "--oversubscribe", "--bind-to", "none"]);
     command.args(["--mca", "mpi_yield_when_idle", "1", "-n", &ranks.to_string(), PROGRAM]);
     command.args(line.split_whitespace()).stdin(Stdio::null());
-    room.start_as(command, &format!("{ranks} ranks: {line}"))
+    room.start_as(command)
 }
 
 fn run(room: &Room, ranks: usize, line: &str) -> Ended {
@@ -71,13 +76,13 @@ fn halos_are_what_the_formula_says() {
     let options = Options { shape, kernel, ..Preset::Paper.options() };
     let room = Room::new();
     for ranks in [2, 4, 8] {
-        let team = Team { regions: ranks, ..Team::alone() };
-        let program = Program::new(&options, team).unwrap();
-        let reach = program.partition().reach();
+        let parallelism = Parallelism { ranks, ..Parallelism::threads() };
+        let plan = Plan::new(&options, parallelism).unwrap();
+        let reach = plan.partition().reach();
         // By hand for two ranks: 3 lines above and below of 64 and more, and the copies at the sides.
         if ranks == 2 {
             let lines = 2 * 3 * (128 + 2 * 3) * 30 * 2 * 4;
-            let bytes = HaloTraffic::of(&program.regions(0), reach).bytes;
+            let bytes = HaloTraffic::of(&plan.regions(0), reach).bytes;
             assert_eq!(bytes, 2 * lines);
         }
         let words: String = text.split(' ').collect();
@@ -92,7 +97,7 @@ fn halos_are_what_the_formula_says() {
         let mut sent = 0;
         let mut received = 0;
         for (rank, told) in all.iter().enumerate() {
-            let traffic = HaloTraffic::of(&program.regions(rank), reach).bytes;
+            let traffic = HaloTraffic::of(&plan.regions(rank), reach).bytes;
             assert!(5 * traffic < all_reduce, "{ranks} ranks: {traffic} of {all_reduce}");
             sent += u64::from(STEPS) * traffic;
             received += told["traffic"].as_u64().unwrap();
@@ -101,45 +106,58 @@ fn halos_are_what_the_formula_says() {
     }
 }
 
+/// Ends a job without an end by a signal to its ranks, once it has a checkpoint after so many
+/// steps, and checks its tile so far. Returns the steps that it has done.
+fn stop(room: &Room, mut job: Run, after: u32) -> u32 {
+    job.until_checkpoint(room, "tile.run", after);
+    job.workers().into_iter().for_each(|rank| send(rank, Signal::TERM));
+    let ended = job.end();
+    assert_eq!(ended.code(), Some(143), "{ended:?}");
+    assert!(ended.out.contains("interrupted: this is the tile so far"), "{ended:?}");
+    room.tile_so_far().1
+}
+
 #[test]
 fn a_killed_rank_ends_the_job_and_others_go_on() {
-    let room = Room::new();
-    let line = format!("{PLAIN} {LASTING}");
-    let expected = room.make(&format!("{line} --threads 2"));
-    for (ranks, after, next) in [(3, 200, 2), (2, 1000, 4)] {
-        std::fs::remove_file(room.at("tile.npy")).unwrap();
-        let keeps = format!("{line} --threads 1 --checkpoint 100steps");
-        let mut job = start(&room, ranks, &keeps);
+    for (ranks, steps, after, next) in [(3, MANY, 200, 2), (2, 50, 200, 4)] {
+        let room = Room::new();
+        let line = endless(steps);
+        let mut job = start(&room, ranks, &format!("{line} --threads 1 --checkpoint 100steps"));
         job.until_checkpoint(&room, "tile.run", after);
-        assert!(!job.is_over(), "the run is too short");
-        let killed = Instant::now();
         send(*job.workers().last().unwrap(), Signal::KILL);
         let ended = job.end();
-        assert!(killed.elapsed() < Duration::from_secs(5), "{:?}", killed.elapsed());
         assert!(!ended.status.success(), "{ended:?}");
         assert!(!room.at("tile.npy").exists());
-        run(&room, next, "resume tile.run --force --threads 1").succeeded();
-        assert!(room.read("tile.npy") == expected, "{ranks} ranks, then {next}");
+        let last = room.checkpoints("tile.run")[0];
+        let resume = format!("resume tile.run --force --threads 1 --checkpoint 9steps {LEASH}");
+        let steps = stop(&room, start(&room, next, &resume), last);
+        assert!(steps >= last, "{steps} steps, before {last}");
     }
 }
 
 #[test]
 fn stopped_ranks_leave_a_tile_and_a_checkpoint_that_anyone_goes_on_from() {
-    let room = Room::new();
-    let line = format!("{PLAIN} {LASTING}");
-    let expected = room.make(&format!("{line} --threads 2"));
-    let stopped = run(&room, 3, &format!("{line} --threads 1 --time 0.3s")).succeeded();
-    assert!(stopped.out.contains("time is up"), "{stopped:?}");
-    assert!(room.read("tile.npy") != expected);
-    run(&room, 1, "resume tile.run --force --workers 2 --threads 1").succeeded();
-    assert!(room.read("tile.npy") == expected);
+    let resume = format!("resume tile.run --force --threads 1 --checkpoint 9steps {LEASH}");
+    for steps in [MANY, 50] {
+        let room = Room::new();
+        let line = format!("{} --threads 1 --checkpoint 9steps", endless(steps));
+        let done = stop(&room, start(&room, 3, &line), 60);
+        let alone = start(&room, 1, &format!("{resume} --workers 2"));
+        let done = stop(&room, alone, done + 1);
+        // And the other way round.
+        stop(&room, start(&room, 4, &resume), done + 1);
+        let ours = |name: &String| ["tile.", "again."].iter().any(|stem| name.starts_with(stem));
+        assert!(room.names("").iter().all(ours), "{:?}", room.names(""));
+    }
+}
 
-    // And the other way round.
-    room.run(&format!("{line} --threads 1 --time 0.3s")).succeeded();
-    run(&room, 4, "resume tile.run --force --threads 1").succeeded();
-    assert!(room.read("tile.npy") == expected);
-    assert!(room.names("").iter().all(|name| name.starts_with("tile.")));
-    assert!(!room.at("tile.run").exists());
+#[test]
+fn ranks_stop_when_their_time_is_up() {
+    let room = Room::new();
+    let line = endless(MANY).replace(LEASH, "--time 0.3s");
+    let stopped = run(&room, 3, &format!("{line} --threads 1")).succeeded();
+    assert!(stopped.out.contains("time is up"), "{stopped:?}");
+    room.tile_so_far();
 }
 
 #[test]
@@ -187,12 +205,12 @@ fn what_is_wrong_is_said_once_by_the_first_rank() {
 fn an_output_that_cannot_be_written_in_the_end_hangs_nobody() {
     let room = Room::new();
     std::fs::create_dir(room.at("sub")).unwrap();
-    let line = "optimize --out sub/tile.npy --integrands 0 --tile 64x64x8 --steps 4000000 --time 2s \
-                --threads 1 --kernel gaussian(1)@3x3x1";
-    let mut job = start(&room, 3, line);
-    job.until("at work", |job| job.workers().len() == 3);
-    sleep(Duration::from_secs(1));
+    let line = "optimize --out sub/tile.npy --integrands 0 --tile 64x64x8 --steps 4000000000 \
+                --threads 1 --kernel gaussian(1)@3x3x1 --run-dir kept --checkpoint 5steps";
+    let mut job = start(&room, 3, &format!("{line} {LEASH}"));
+    job.until_checkpoint(&room, "kept", 0);
     std::fs::remove_dir_all(room.at("sub")).unwrap();
+    job.workers().into_iter().for_each(|rank| send(rank, Signal::TERM));
     let failed = job.end();
     assert_eq!(failed.code(), Some(1), "{failed:?}");
     assert!(failed.error.contains("sub"), "{failed:?}");
@@ -204,7 +222,7 @@ fn on_two_hosts(room: &Room, ranks: usize, line: &str) -> Option<()> {
     let mut command = Command::new(script);
     command.args(["--count", "bytes.txt", &ranks.to_string(), PROGRAM]);
     command.args(line.split_whitespace());
-    let ended = room.start_as(command, "two hosts").end();
+    let ended = room.start_as(command).end();
     if ended.code() == Some(77) {
         println!("skipped: {}", ended.error.trim());
         return None;

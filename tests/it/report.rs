@@ -14,6 +14,8 @@ use perceptile::tile::{Tile, TileShape};
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
+use crate::child::{Child, output, until};
+
 const PROGRAM: &str = env!("CARGO_BIN_EXE_perceptile");
 const KERNEL: &str = "gaussian(1) * ema(0.5) @ 3x3x4";
 /// What takes no time.
@@ -39,7 +41,7 @@ impl Room {
     }
 
     fn run(&self, words: &[&str]) -> Output {
-        Command::new(PROGRAM).args(words).current_dir(self.0.path()).output().unwrap()
+        output(Command::new(PROGRAM).args(words).current_dir(self.0.path()))
     }
 
     fn succeed(&self, words: &[&str]) -> String {
@@ -406,19 +408,18 @@ fn a_kernel_that_does_not_fit_is_the_same_error_as_in_evaluate() {
 #[cfg(unix)]
 #[test]
 fn a_signal_leaves_nothing_behind() {
-    use rustix::process::{Pid, Signal, kill_process};
+    use rustix::process::{Signal, kill_process};
 
     let room = Room::new();
-    room.save("a.npy", TileShape::new(128, 128, 16, 1, 2).unwrap(), 1);
-    let line = ["report", "out", "a.npy", "a.npy", "--integrands", "64"];
-    let mut run = Command::new(PROGRAM);
-    let mut run = run.args(line).current_dir(room.0.path()).spawn().unwrap();
+    room.save("a.npy", TileShape::new(32, 32, 16, 1, 2).unwrap(), 1);
+    // It looks for signals between two tiles, of which there are many left.
+    let line = [&["report", "out"][..], &["a.npy"; 300], &["--integrands", "64"]].concat();
+    let mut run = Child::start(Command::new(PROGRAM).args(line).current_dir(room.0.path()));
     let count = || fs::read_dir(room.0.path()).unwrap().count();
     // From its first folder on it listens.
-    while count() < 2 {
-        std::thread::sleep(std::time::Duration::from_millis(1));
-    }
-    kill_process(Pid::from_child(&run), Signal::TERM).unwrap();
-    assert_eq!(run.wait().unwrap().code(), Some(143));
+    until("a report begins", || count() == 2);
+    assert!(!run.is_over(), "{}", run.error());
+    kill_process(run.pid(), Signal::TERM).unwrap();
+    assert_eq!(run.wait().status.code(), Some(143));
     assert_eq!(count(), 1);
 }

@@ -1,21 +1,22 @@
 //! Runs of the real command: started, followed while they work, and ended in every way.
 
-use std::fs::{self, File};
-use std::os::unix::fs::FileExt;
-use std::os::unix::process::CommandExt;
+use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, ExitStatus, Stdio};
+use std::process::{Command, ExitStatus, Output, Stdio};
 use std::thread::sleep;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use perceptile::format::sidecar::Sidecar;
 use rustix::process::{Pid, Signal, kill_process, kill_process_group};
 use tempfile::TempDir;
 
+use crate::child::Child;
+pub use crate::child::until;
+
 pub const PROGRAM: &str = env!("CARGO_BIN_EXE_perceptile");
 
-/// Longer than anything takes, also on a busy machine: what hangs is to fail, and not to hang.
-const LONG: Duration = Duration::from_secs(120);
+/// The end of a run that goes on until it is told to stop, should nobody be left to tell it.
+pub const LEASH: &str = "--time 10m";
 
 /// A folder in which commands are run.
 pub struct Room(TempDir);
@@ -52,11 +53,16 @@ impl Room {
         numbers
     }
 
-    /// Starts this program with the words of a line, in a process group of its own.
+    /// Whether there is a checkpoint after so many steps, or after more.
+    pub fn has_checkpoint(&self, folder: &str, steps: u32) -> bool {
+        self.checkpoints(folder).first().is_some_and(|&number| number > steps)
+    }
+
+    /// Starts this program with the words of a line.
     pub fn start(&self, line: &str) -> Run {
         let mut command = Command::new(PROGRAM);
         command.args(line.split_whitespace()).stdin(Stdio::null());
-        self.start_as(command, line)
+        self.start_as(command)
     }
 
     /// The same by a shell, which does something before it becomes this program.
@@ -64,16 +70,12 @@ impl Room {
         let mut command = Command::new("sh");
         command.args(["-c", &format!("{before}; exec \"$0\" \"$@\""), PROGRAM]);
         command.args(line.split_whitespace()).stdin(Stdio::null());
-        self.start_as(command, line)
+        self.start_as(command)
     }
 
     /// Starts a command that is ready but for its folder and the streams that it writes to.
-    pub fn start_as(&self, mut command: Command, line: &str) -> Run {
-        let streams = [(); 2].map(|()| tempfile::tempfile().unwrap());
-        let [out, error] = streams.each_ref().map(|stream| stream.try_clone().unwrap());
-        command.current_dir(self.0.path()).env("RUST_BACKTRACE", "0").process_group(0);
-        let child = command.stdout(out).stderr(error).spawn().unwrap();
-        Run { child, line: line.to_owned(), streams }
+    pub fn start_as(&self, mut command: Command) -> Run {
+        Run(Child::start(command.current_dir(self.0.path()).env("RUST_BACKTRACE", "0")))
     }
 
     pub fn run(&self, line: &str) -> Ended {
@@ -89,22 +91,35 @@ impl Room {
     pub fn sidecar(&self) -> Sidecar {
         Sidecar::read(&self.at("tile.json")).unwrap()
     }
+
+    /// The tile that a run left which was told to stop, and the steps that it had done. Checks that
+    /// the command on record makes the same tile by one thread.
+    pub fn tile_so_far(&self) -> (Vec<u8>, u32) {
+        let tile = self.read("tile.npy");
+        let command = self.sidecar().command;
+        let (_, steps) = command.split_once("--stop-after ").unwrap();
+        let steps = steps.split(' ').next().unwrap().parse().unwrap();
+        let words = command.strip_prefix("perceptile ").unwrap();
+        let script =
+            format!("exec \"$0\" {words} --integrands 0 --threads 1 --out again.npy --force");
+        let mut again = Command::new("sh");
+        again.args(["-c", &script, PROGRAM]).stdin(Stdio::null());
+        self.start_as(again).end().succeeded();
+        assert!(self.read("again.npy") == tile, "{command}");
+        (tile, steps)
+    }
 }
 
-/// A command that runs. If nobody waits for it, it is killed.
-pub struct Run {
-    child: Child,
-    line: String,
-    streams: [File; 2],
-}
+/// A command that runs.
+pub struct Run(Child);
 
 impl Run {
     pub fn pid(&self) -> Pid {
-        Pid::from_child(&self.child)
+        self.0.pid()
     }
 
     pub fn is_over(&mut self) -> bool {
-        self.child.try_wait().unwrap().is_some()
+        self.0.is_over()
     }
 
     /// Its worker processes.
@@ -119,75 +134,59 @@ impl Run {
         self.workers().into_iter().filter(|&worker| has_heartbeat(worker)).collect()
     }
 
-    /// Waits for what is to happen while the command runs.
-    pub fn until(&mut self, what: &str, mut happens: impl FnMut(&Self) -> bool) {
-        let start = Instant::now();
-        while !happens(self) {
-            let over = self.is_over();
-            if over || start.elapsed() > LONG {
-                let line = &self.line;
-                panic!("{line}: over {over}, but not yet {what}: {}", self.said(1));
-            }
-            sleep(Duration::from_millis(1));
-        }
-    }
-
-    /// Waits until it has written a checkpoint after so many steps, or is over.
-    pub fn until_checkpoint(&mut self, room: &Room, folder: &str, steps: u32) {
-        let start = Instant::now();
-        while !self.is_over() && room.checkpoints(folder).first().is_none_or(|&it| it <= steps) {
-            assert!(start.elapsed() < LONG, "{}: no checkpoint: {}", self.line, self.said(1));
-            sleep(Duration::from_millis(1));
-        }
-    }
-
-    pub fn send(&self, signal: Signal) {
-        send(self.pid(), signal);
-    }
-
-    pub fn send_to_group(&self, signal: Signal) {
-        kill_process_group(self.pid(), signal).unwrap();
-    }
-
     /// What it has said so far.
-    fn said(&self, stream: usize) -> String {
-        let stream = &self.streams[stream];
-        let mut text = vec![0; stream.metadata().unwrap().len() as usize];
-        // Not by a seek: the command writes where this one reads.
-        stream.read_exact_at(&mut text, 0).unwrap();
-        String::from_utf8(text).unwrap()
+    pub fn error(&self) -> String {
+        self.0.error()
+    }
+
+    /// Waits for what is to happen while the command runs.
+    pub fn until(&mut self, what: &str, happens: impl FnMut(&mut Self) -> bool) {
+        let has_happened = self.until_or_end(what, happens);
+        assert!(has_happened, "{} is over before {what}: {}", self.0.line(), self.error());
+    }
+
+    /// Waits for what may happen before the command is over; returns whether it has.
+    pub fn until_or_end(&mut self, what: &str, mut happens: impl FnMut(&mut Self) -> bool) -> bool {
+        let mut has_happened = false;
+        let line = self.0.line().to_owned();
+        until(&format!("{what} of {line}"), || {
+            let is_over = self.is_over();
+            has_happened = happens(self);
+            has_happened || is_over
+        });
+        has_happened
+    }
+
+    /// Waits until it has written a checkpoint after so many steps, or after more.
+    pub fn until_checkpoint(&mut self, room: &Room, folder: &str, steps: u32) {
+        self.until("a checkpoint", |_| room.has_checkpoint(folder, steps));
+    }
+
+    /// Sends a signal, unless it is over: its number may then be another's.
+    pub fn send(&mut self, signal: Signal) {
+        if !self.is_over() {
+            send(self.pid(), signal);
+        }
+    }
+
+    /// Sends a signal to all of its processes.
+    pub fn send_to_group(&mut self, signal: Signal) {
+        assert!(!self.is_over(), "{} is over: {}", self.0.line(), self.error());
+        kill_process_group(self.pid(), signal).unwrap();
     }
 
     /// Waits for its end, and that no process is left of it.
     pub fn end(mut self) -> Ended {
-        let start = Instant::now();
-        let status = loop {
-            if let Some(status) = self.child.try_wait().unwrap() {
-                break status;
-            }
-            if start.elapsed() > LONG {
-                panic!("{} hangs: {}", self.line, self.said(1));
-            }
-            sleep(Duration::from_millis(1));
-        };
+        let Output { status, stdout, stderr } = self.0.wait();
         let group = self.pid().as_raw_nonzero().get();
-        let left = || processes().into_iter().filter(|it| it.group == group && it.state != 'Z');
-        while let Some(process) = left().next() {
-            let line = &self.line;
-            assert!(start.elapsed() < LONG, "{line} leaves process {:?} behind", process.pid);
-            sleep(Duration::from_millis(1));
-        }
-        let [out, error] = [0, 1].map(|stream| self.said(stream));
-        let line = std::mem::take(&mut self.line);
+        let is_left = |it: &Process| it.group == group && it.state != 'Z';
+        until(&format!("nothing is left of {}", self.0.line()), || {
+            !processes().iter().any(is_left)
+        });
+        let [out, error] = [stdout, stderr].map(|bytes| String::from_utf8(bytes).unwrap());
+        let line = self.0.line().to_owned();
         assert!(!error.contains("panicked"), "{line}: {error}");
         Ended { line, status, out, error }
-    }
-}
-
-impl Drop for Run {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
     }
 }
 
@@ -263,13 +262,13 @@ pub fn has_ended(process: Pid) -> bool {
     processes().iter().all(|it| it.pid != process || it.state == 'Z')
 }
 
-/// Waits for what must happen.
-pub fn until(what: &str, mut happens: impl FnMut() -> bool) {
-    let start = Instant::now();
-    while !happens() {
-        assert!(start.elapsed() < LONG, "waited too long: {what}");
-        sleep(Duration::from_millis(1));
-    }
+/// Whether a process has handlers for all of these signals.
+pub fn caught(process: Pid, signals: &[Signal]) -> bool {
+    let path = format!("/proc/{}/status", process.as_raw_nonzero());
+    let status = fs::read_to_string(path).unwrap_or_default();
+    let mask = status.lines().find_map(|line| line.strip_prefix("SigCgt:"));
+    let mask = mask.map_or(0, |mask| u64::from_str_radix(mask.trim(), 16).unwrap());
+    signals.iter().all(|signal| mask >> (signal.as_raw() - 1) & 1 == 1)
 }
 
 /// Random numbers (SplitMix64; Steele et al. 2014), the same in every run.
