@@ -1,7 +1,8 @@
 //! Faults made on purpose: a worker that kills or stops itself in the middle of its work.
 //!
-//! What holds when workers die can only be shown by workers that die, in every place where it
-//! matters. Each worker picks a place and a time; when it next passes there, it is gone.
+//! What holds when workers die can only be shown by workers that die, at every site where it
+//! matters. Each worker picks a site and a time; when it next passes there, it is gone. The crate
+//! has a few sites of its own; whoever uses it numbers others.
 
 use std::fmt;
 use std::str::FromStr;
@@ -14,50 +15,30 @@ use crate::shared::Board;
 
 /// Where faults can happen.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Place {
+pub struct FaultSite(u8);
+
+impl FaultSite {
     /// A worker has mapped the memory and is about to begin.
-    Attach,
-    /// While gradients are made.
-    Pull,
-    /// While gradients are added up.
-    Reduce,
-    /// While samples are moved, half of a unit done.
-    Adam,
+    pub const ATTACH: Self = Self(0);
     /// Between a job and the word that it is done, or the last job and the end of the round.
-    Commit,
-    /// While all wait for a checkpoint to be written.
-    Hold,
-    /// While samples go from one phase to the next.
-    Exchange,
-    /// While samples are made uniform.
-    Warp,
-}
+    pub const COMMIT: Self = Self(1);
+    /// While all wait until they are released.
+    pub const HOLD: Self = Self(2);
 
-impl Place {
-    /// All places.
-    pub const ALL: [Self; 8] = [
-        Self::Attach,
-        Self::Pull,
-        Self::Reduce,
-        Self::Adam,
-        Self::Commit,
-        Self::Hold,
-        Self::Exchange,
-        Self::Warp,
-    ];
+    /// The sites of this crate, with their names as people read them.
+    pub const OWN: [(Self, &'static str); 3] =
+        [(Self::ATTACH, "attach"), (Self::COMMIT, "commit"), (Self::HOLD, "hold")];
 
-    /// Its name as people read it.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Attach => "attach",
-            Self::Pull => "pull",
-            Self::Reduce => "reduce",
-            Self::Adam => "adam",
-            Self::Commit => "commit",
-            Self::Hold => "hold",
-            Self::Exchange => "exchange",
-            Self::Warp => "warp",
-        }
+    /// Number of sites that a caller can have.
+    pub const MOST_OF_CALLER: usize = Board::TALLIES - Self::OWN.len();
+
+    /// A site of the caller's, by its number from 0.
+    ///
+    /// # Panics
+    /// If the number is not below [`Self::MOST_OF_CALLER`].
+    pub const fn of_caller(number: u8) -> Self {
+        assert!((number as usize) < Self::MOST_OF_CALLER, "more sites than can be counted");
+        Self(Self::OWN.len() as u8 + number)
     }
 }
 
@@ -100,38 +81,55 @@ impl fmt::Display for FaultPlan {
 #[derive(Debug)]
 pub struct Faults {
     plan: FaultPlan,
+    /// Number of sites, of which each is chosen equally often.
+    sites: u64,
     born: Instant,
-    /// When the next fault is due, in nanoseconds from birth, with its place in the low bits.
+    /// When the next fault is due, in nanoseconds from birth, with its site in the low bits.
     next: AtomicU64,
     random: AtomicU64,
 }
 
-/// Low bits that hold a place.
-const PLACE_BITS: u32 = 4;
+/// Low bits that hold a site.
+const SITE_BITS: u32 = 5;
+const SITE: u64 = (1 << SITE_BITS) - 1;
+const _: () = assert!(Board::TALLIES - 1 <= SITE as usize);
 
 impl Faults {
-    /// Faults of a worker that begins to live now.
-    pub fn new(plan: FaultPlan) -> Self {
+    /// Faults of a worker that begins to live now, at the sites of this crate and at the first
+    /// `sites` of the caller's.
+    ///
+    /// # Panics
+    /// If those are more than [`FaultSite::MOST_OF_CALLER`].
+    pub fn new(plan: FaultPlan, sites: usize) -> Self {
         // Every worker has another number of its own, so all fail differently.
-        let seed = u64::from(std::process::id());
-        let born = Instant::now();
-        let faults = Self { plan, born, next: AtomicU64::new(0), random: AtomicU64::new(seed) };
+        Self::seeded(plan, sites, std::process::id().into())
+    }
+
+    fn seeded(plan: FaultPlan, sites: usize, seed: u64) -> Self {
+        assert!(sites <= FaultSite::MOST_OF_CALLER, "{sites} sites");
+        let faults = Self {
+            plan,
+            sites: (FaultSite::OWN.len() + sites) as u64,
+            born: Instant::now(),
+            next: AtomicU64::new(0),
+            random: AtomicU64::new(seed),
+        };
         faults.next.store(faults.choose(), Ordering::Relaxed);
         faults
     }
 
-    /// The number of all faults at a place that a board has seen, those that stopped a worker
+    /// The number of all faults at a site that a board has seen, those that stopped a worker
     /// included.
-    pub fn tally(board: &Board, place: Place) -> u64 {
-        board.tally(place as usize).load(Ordering::Relaxed)
+    pub fn tally(board: &Board, site: FaultSite) -> u64 {
+        board.tally(site.0.into()).load(Ordering::Relaxed)
     }
 
-    /// A time from now and a place.
+    /// A time from now and a site.
     fn choose(&self) -> u64 {
-        let place = self.random() % Place::ALL.len() as u64;
+        let site = self.random() % self.sites;
         let mean = self.plan.every.as_nanos() as u64;
         let due = self.born.elapsed().as_nanos() as u64 + self.random() % (2 * mean);
-        due >> PLACE_BITS << PLACE_BITS | place
+        due & !SITE | site
     }
 
     /// The next random number (SplitMix64; Steele et al. 2014).
@@ -144,25 +142,24 @@ impl Faults {
     }
 
     /// Fails here, if that is due.
-    pub(crate) fn at(&self, place: Place, board: &Board) {
+    pub(crate) fn at(&self, site: FaultSite, board: &Board) {
         let next = self.next.load(Ordering::Relaxed);
         let now = self.born.elapsed().as_nanos() as u64;
         if now < next {
             return;
         }
-        if next & ((1 << PLACE_BITS) - 1) != place as u64 {
-            // A place that is not passed any more is given up.
+        if next & SITE != u64::from(site.0) {
+            // A site that is not passed any more is given up.
             if now - next > 2 * self.plan.every.as_nanos() as u64 {
                 self.next.store(self.choose(), Ordering::Relaxed);
             }
             return;
         }
         // Of several threads one fails for all.
-        let later = u64::MAX >> PLACE_BITS << PLACE_BITS;
-        if self.next.compare_exchange(next, later, Ordering::Relaxed, Ordering::Relaxed).is_err() {
+        if self.next.compare_exchange(next, !SITE, Ordering::Relaxed, Ordering::Relaxed).is_err() {
             return;
         }
-        board.tally(place as usize).fetch_add(1, Ordering::Relaxed);
+        board.tally(site.0.into()).fetch_add(1, Ordering::Relaxed);
         let stops = (self.random() >> 11) as f64 / (1_u64 << 53) as f64 + f64::EPSILON;
         fail(stops < self.plan.stops);
     }
@@ -195,5 +192,36 @@ mod tests {
         for wrong in ["", "0ms", "5", "5s", "5ms,2", "5ms,", "-1ms", "5ms,nan", "99999999ms"] {
             assert!(wrong.parse::<FaultPlan>().is_err(), "{wrong}");
         }
+    }
+    #[test]
+    fn each_site_is_chosen_equally_often() {
+        let plan: FaultPlan = "1ms".parse().unwrap();
+        for sites in [0, 5, FaultSite::MOST_OF_CALLER] {
+            const CHOICES: usize = 10_000;
+            let faults = Faults::seeded(plan, sites, 1);
+            let mut counts = vec![0_usize; FaultSite::OWN.len() + sites];
+            for _ in 0..CHOICES * counts.len() {
+                counts[(faults.choose() & SITE) as usize] += 1;
+            }
+            // Ten standard deviations, and the seed is fixed.
+            let even = |count: &usize| count.abs_diff(CHOICES) < 1000;
+            assert!(counts.iter().all(even), "{counts:?}");
+        }
+    }
+
+    #[test]
+    fn sites_of_the_crate_and_of_a_caller_are_apart() {
+        let callers =
+            (0..FaultSite::MOST_OF_CALLER).map(|number| FaultSite::of_caller(number as u8));
+        let mut sites: Vec<u8> = FaultSite::OWN
+            .map(|(site, _)| site)
+            .into_iter()
+            .chain(callers)
+            .map(|it| it.0)
+            .collect();
+        sites.sort_unstable();
+        assert_eq!(sites, (0..Board::TALLIES as u8).collect::<Vec<_>>());
+        let most = FaultSite::MOST_OF_CALLER;
+        assert!(std::panic::catch_unwind(|| FaultSite::of_caller(most as u8)).is_err());
     }
 }

@@ -6,7 +6,7 @@
 /// What starts the ranks of a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Launcher {
-    /// How it tells its processes who they are.
+    /// How it lets its processes know who they are.
     pub name: &'static str,
     /// Which of them this is, from 0.
     pub rank: usize,

@@ -21,7 +21,7 @@ use ::mpi::traits::Communicator;
 
 /// MPI from its beginning to its end.
 pub(super) struct Library {
-    /// Whose turn it is to call, and what with: the ranks, in a world apart from that of others.
+    /// Whose turn it is to call, and what with: a communicator of this library's own.
     turn: Mutex<Comm>,
     pub rank: usize,
     pub size: usize,
@@ -192,6 +192,11 @@ impl Drop for Library {
         let code = unsafe { ffi::MPI_Comm_free(&mut comm) };
         self.check("MPI_Comm_free", code);
     }
+}
+
+/// A number of elements as MPI has it.
+pub(super) fn count(elements: usize) -> c_int {
+    c_int::try_from(elements).expect("messages are cut")
 }
 
 /// A pause for those who wait for something that is probably there soon.

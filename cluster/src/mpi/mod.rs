@@ -1,8 +1,8 @@
-//! Ranks of MPI: machines of a cluster, as Slurm or `mpirun` starts them.
+//! Ranks of MPI, as Slurm or `mpirun` starts them on the machines of a cluster.
 //!
 //! A room with `unsafe`: what is sent again and again goes through persistent requests, which no
-//! safe interface has. [`Mpi`] is the ranks, the library in `library` lets one thread at a time
-//! call it, and `transfer` has the memory that messages leave from and arrive in. What makes it
+//! safe interface has. [`Mpi`] is the communicator, `library` lets one thread at a time call the
+//! library, and `transfer` has the memory that messages leave from and arrive in. What makes it
 //! safe is one rule: **memory that a request works on is neither touched nor freed until the
 //! library says that the request is complete.**
 
@@ -18,15 +18,15 @@ use std::time::Duration;
 
 use ::mpi::environment::{self, Threading};
 use ::mpi::ffi;
-use ::mpi::traits::Communicator;
+use ::mpi::traits::Communicator as _;
 use thiserror::Error;
 
+use crate::communicator::{Communicator, Message, Transfer};
 use crate::launcher::Launcher;
-use crate::peers::{Message, Peers, Transfer};
-use library::{Library, patient};
+use library::{Library, count, patient};
 use transfer::Persistent;
 
-/// Why there are no ranks of MPI.
+/// Why there is no communicator of MPI.
 #[derive(Debug, Error)]
 pub enum MpiError {
     /// MPI begins and ends once in a process.
@@ -53,11 +53,11 @@ pub enum MpiError {
     },
 }
 
-/// One of the ranks that an MPI launcher started; the only one, if none did.
+/// The communicator of a rank that an MPI launcher started; of the only one, if none did.
 ///
 /// MPI is finalised when this and its transfers are gone, which waits until all ranks do the same:
-/// a rank that alone cannot go on calls [`Peers::abort`]. It is for the thread that began. A rank
-/// that panics does not finalise, and its launcher ends the others.
+/// a rank that alone cannot go on calls [`Communicator::abort`]. It is for the thread that began. A
+/// rank that panics does not finalise, and its launcher ends the others.
 pub struct Mpi {
     library: Arc<Library>,
     /// Elements that one call is asked to move.
@@ -161,23 +161,23 @@ impl Mpi {
     fn words(&self, messages: &[Message]) -> Vec<u64> {
         let mut words = vec![u64::MAX; self.size()];
         for message in messages {
-            words[message.peer] = message.words as u64;
+            words[message.rank] = message.words as u64;
         }
         words
     }
 
-    /// Tells each rank a number, and hears what it tells this one.
+    /// Sends each rank a number, and receives what it sends to this one.
     ///
     /// Ranks that do not agree on their messages would wait for ever, or for what does not fit.
-    fn ahead(&self, told: &[u64]) -> Vec<u64> {
-        assert_eq!(told.len(), self.size());
+    fn ahead(&self, numbers: &[u64]) -> Vec<u64> {
+        assert_eq!(numbers.len(), self.size());
         let mut heard = vec![0_u64; self.size()];
         self.library.run("MPI_Ialltoall", patient(), |comm, request| {
             // SAFETY: both have a number for each rank. They are borrowed until `run` returns,
             // which is after the request is complete.
             unsafe {
                 ffi::MPI_Ialltoall(
-                    told.as_ptr().cast(),
+                    numbers.as_ptr().cast(),
                     1,
                     ffi::RSMPI_UINT64_T,
                     heard.as_mut_ptr().cast(),
@@ -192,7 +192,7 @@ impl Mpi {
     }
 
     /// A rank as MPI knows it.
-    fn peer(&self, rank: usize) -> c_int {
+    fn other(&self, rank: usize) -> c_int {
         assert!(rank < self.size(), "there is no rank {rank}");
         rank as c_int
     }
@@ -204,18 +204,13 @@ fn name() -> String {
     version.lines().next().unwrap_or_default().trim_end_matches('\0').trim().to_owned()
 }
 
-/// A number of elements as MPI has it.
-fn count(elements: usize) -> c_int {
-    c_int::try_from(elements).expect("messages are cut")
-}
-
 impl fmt::Debug for Mpi {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("Mpi").field("rank", &self.rank()).field("size", &self.size()).finish()
     }
 }
 
-impl Peers for Mpi {
+impl Communicator for Mpi {
     fn rank(&self) -> usize {
         self.library.rank
     }
@@ -255,7 +250,7 @@ impl Peers for Mpi {
     }
 
     fn send(&self, to: usize, words: &[u32]) {
-        let to = self.peer(to);
+        let to = self.other(to);
         for piece in words.chunks(self.most) {
             self.library.run("MPI_Isend", patient(), |comm, request| {
                 // SAFETY: `piece` has as many words, and is borrowed until `run` returns, which is
@@ -276,7 +271,7 @@ impl Peers for Mpi {
     }
 
     fn receive(&self, from: usize, words: &mut [u32]) {
-        let from = self.peer(from);
+        let from = self.other(from);
         for piece in words.chunks_mut(self.most) {
             let status = self.library.run("MPI_Irecv", patient(), |comm, request| {
                 // SAFETY: `piece` has as many words, and is borrowed until `run` returns, which is

@@ -9,9 +9,8 @@ use std::thread;
 
 use ::mpi::ffi;
 
-use crate::mpi::count;
-use crate::mpi::library::{Library, Turn, patient};
-use crate::peers::{Message, Transfer};
+use crate::communicator::{Message, Transfer};
+use crate::mpi::library::{Library, Turn, count, patient};
 
 /// A transfer between ranks of MPI.
 pub(super) struct Persistent {
@@ -58,7 +57,7 @@ impl Persistent {
                             buffer.base.add(start).as_ptr().cast(),
                             count(words),
                             ffi::RSMPI_UINT32_T,
-                            message.peer as c_int,
+                            message.rank as c_int,
                             tag,
                             comm,
                             &mut request,
@@ -78,7 +77,7 @@ impl Persistent {
                             buffer.base.add(start).as_ptr().cast(),
                             count(words),
                             ffi::RSMPI_UINT32_T,
-                            message.peer as c_int,
+                            message.rank as c_int,
                             tag,
                             comm,
                             &mut request,

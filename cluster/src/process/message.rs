@@ -1,7 +1,7 @@
 //! What a coordinator and a worker say to each other, and how: frames over a socket.
 //!
 //! Both ends begin with a greeting, whose form is the same in every version: a mark, the number of
-//! the protocol and the version of the program. So a worker of another version is told apart from
+//! the protocol and the version of the program. So a worker of another version is known from
 //! one that talks nonsense. All that follows are frames: a length, 4 bytes, little-endian, and as
 //! many bytes of [`codec`].
 
@@ -21,8 +21,8 @@ use rustix::net::{
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+use crate::affinity::Processors;
 use crate::codec::{self, CodecError};
-use crate::place::Place;
 
 /// The first bytes of both ends.
 const MARK: [u8; 8] = *b"PCPTRANK";
@@ -70,7 +70,7 @@ pub enum MessageError {
     Unexpected(&'static str),
     /// A message that lacks the file it speaks of.
     #[error("the other end sent no file of shared memory")]
-    NoRegion,
+    NoMemory,
     /// Nothing came in time.
     #[error("the other end did not answer within {0:?}")]
     Late(Duration),
@@ -82,7 +82,7 @@ pub enum MessageError {
     System(io::Error),
 }
 
-// By hand, as both tell of the error themselves: a source would be told a second time.
+// By hand, as both show the error themselves: a source would be shown a second time.
 impl From<CodecError> for MessageError {
     fn from(error: CodecError) -> Self {
         Self::Codec(error)
@@ -97,27 +97,27 @@ impl From<io::Error> for MessageError {
 
 /// What follows the greeting.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Message {
+pub enum Control {
     /// To a worker, first and once; the file of shared memory comes along.
     Setup {
-        /// Its rank, below `size`.
-        rank: usize,
+        /// Its index, below `workers`.
+        index: usize,
         /// Number of workers.
-        size: usize,
-        /// Where it is to run.
-        place: Option<Place>,
+        workers: usize,
+        /// What it is to be bound to; to nothing if none.
+        processors: Option<Processors>,
         /// For its work.
         payload: Vec<u8>,
     },
     /// From a worker: it takes jobs from now on.
     Ready,
-    /// From a worker: it cannot go on, for a reason that the user is told.
+    /// From a worker: it cannot go on, and why, in words for users.
     Failed(String),
     /// From a worker, last: what is left to say.
     Report(Vec<u8>),
 }
 
-impl Message {
+impl Control {
     fn name(&self) -> &'static str {
         match self {
             Self::Setup { .. } => "Setup",
@@ -182,7 +182,7 @@ fn is_printable(text: &str) -> bool {
 ///
 /// # Errors
 /// A message over the limit.
-pub fn frame(message: &Message) -> Result<Vec<u8>, MessageError> {
+pub fn frame(message: &Control) -> Result<Vec<u8>, MessageError> {
     let body = codec::encode(message)?;
     let length = u32::try_from(body.len()).ok().filter(|_| body.len() <= MESSAGE_LIMIT);
     let mut bytes = length.ok_or(MessageError::TooLong(body.len()))?.to_le_bytes().to_vec();
@@ -194,7 +194,7 @@ pub fn frame(message: &Message) -> Result<Vec<u8>, MessageError> {
 ///
 /// # Errors
 /// A length over the limit, as soon as it is known, or bytes that are no message.
-fn take_message(bytes: &mut Vec<u8>) -> Result<Option<Message>, MessageError> {
+fn take_message(bytes: &mut Vec<u8>) -> Result<Option<Control>, MessageError> {
     let Some((&head, rest)) = bytes.split_first_chunk::<4>() else {
         return Ok(None);
     };
@@ -205,14 +205,14 @@ fn take_message(bytes: &mut Vec<u8>) -> Result<Option<Message>, MessageError> {
     let Some(body) = rest.get(..length) else {
         return Ok(None);
     };
-    let message = codec::decode::<Message, MEMORY_LIMIT>(body)?;
+    let message = codec::decode::<Control, MEMORY_LIMIT>(body)?;
     bytes.drain(..4 + length);
     Ok(Some(message))
 }
 
 /// One end of the socket between a coordinator and a worker. No call waits unless it says so.
 #[derive(Debug)]
-pub struct Channel {
+pub struct Socket {
     stream: UnixStream,
     /// Arrived, and not yet taken.
     arrived: Vec<u8>,
@@ -226,8 +226,8 @@ pub struct Channel {
     gone: bool,
 }
 
-impl Channel {
-    /// A channel over this end.
+impl Socket {
+    /// A socket over this end.
     ///
     /// # Errors
     /// What the system reports.
@@ -341,7 +341,7 @@ impl Channel {
     ///
     /// # Errors
     /// A message over the limit, or bytes that are none.
-    pub fn message(&mut self) -> Result<Option<Message>, MessageError> {
+    pub fn message(&mut self) -> Result<Option<Control>, MessageError> {
         take_message(&mut self.arrived)
     }
 
@@ -372,21 +372,21 @@ impl Channel {
     }
 }
 
-/// Waits until one of the channels can go on, but no longer than `within`.
+/// Waits until one of the sockets can go on, but no longer than `within`.
 ///
 /// # Errors
 /// What the system reports.
 pub fn wait_for_any<'a>(
-    channels: impl IntoIterator<Item = &'a Channel>,
+    sockets: impl IntoIterator<Item = &'a Socket>,
     within: Option<Duration>,
 ) -> io::Result<()> {
-    let mut ends: Vec<PollFd> = channels
+    let mut ends: Vec<PollFd> = sockets
         .into_iter()
         // Those that have gone would end the waiting at once, for ever.
-        .filter(|channel| !channel.gone)
-        .map(|channel| {
-            let sending = if channel.is_sent() { PollFlags::empty() } else { PollFlags::OUT };
-            PollFd::new(&channel.stream, PollFlags::IN | sending)
+        .filter(|socket| !socket.gone)
+        .map(|socket| {
+            let sending = if socket.is_sent() { PollFlags::empty() } else { PollFlags::OUT };
+            PollFd::new(&socket.stream, PollFlags::IN | sending)
         })
         .collect();
     let within = within.map(timespec);
@@ -453,23 +453,28 @@ mod tests {
     use proptest::prelude::*;
     use std::io::{Read, Seek, Write};
 
-    fn messages() -> [Message; 5] {
-        let place = Place { node: 1, cpus: vec![2, 300] };
+    fn messages() -> [Control; 5] {
+        let processors = Processors { node: 1, cpus: vec![2, 300] };
         [
-            Message::Setup { rank: 2, size: 3, place: Some(place), payload: vec![1, 2, 255] },
-            Message::Setup { rank: 0, size: 1, place: None, payload: vec![] },
-            Message::Ready,
-            Message::Failed("no memory".to_owned()),
-            Message::Report(vec![7; 300]),
+            Control::Setup {
+                index: 2,
+                workers: 3,
+                processors: Some(processors),
+                payload: vec![1, 2, 255],
+            },
+            Control::Setup { index: 0, workers: 1, processors: None, payload: vec![] },
+            Control::Ready,
+            Control::Failed("no memory".to_owned()),
+            Control::Report(vec![7; 300]),
         ]
     }
 
-    fn pair() -> (Channel, Channel) {
+    fn pair() -> (Socket, Socket) {
         let (a, b) = UnixStream::pair().unwrap();
-        (Channel::new(a).unwrap(), Channel::new(b).unwrap())
+        (Socket::new(a).unwrap(), Socket::new(b).unwrap())
     }
 
-    const SOON: Option<Duration> = Some(Duration::from_secs(10));
+    const SOON: Option<Duration> = Some(Duration::from_secs(300));
 
     #[test]
     fn greetings_and_messages_arrive_in_order() {
@@ -524,14 +529,14 @@ mod tests {
         let mut waits = (MESSAGE_LIMIT as u32).to_le_bytes().to_vec();
         assert!(take_message(&mut waits).unwrap().is_none());
         assert!(waits.capacity() < 100);
-        let long = Message::Report(vec![0; MESSAGE_LIMIT]);
+        let long = Control::Report(vec![0; MESSAGE_LIMIT]);
         assert!(matches!(frame(&long), Err(MessageError::TooLong(_))));
     }
 
     #[test]
     fn the_longest_message_passes() {
         let (mut a, mut b) = pair();
-        let report = Message::Report((0..MESSAGE_LIMIT - 6).map(|i| i as u8).collect());
+        let report = Control::Report((0..MESSAGE_LIMIT - 6).map(|i| i as u8).collect());
         let bytes = frame(&report).unwrap();
         assert_eq!(bytes.len(), 4 + MESSAGE_LIMIT);
         std::thread::scope(|scope| {
@@ -539,9 +544,9 @@ mod tests {
                 a.queue(&bytes);
                 a.wait(SOON, |a| Ok(a.is_sent().then_some(()))).unwrap();
             });
-            assert!(b.wait(SOON, Channel::message).unwrap() == report);
+            assert!(b.wait(SOON, Socket::message).unwrap() == report);
         });
-        assert!(matches!(b.wait(SOON, Channel::message), Err(MessageError::Gone)));
+        assert!(matches!(b.wait(SOON, Socket::message), Err(MessageError::Gone)));
     }
 
     #[test]
@@ -550,10 +555,10 @@ mod tests {
         let mut file = tempfile::tempfile().unwrap();
         file.write_all(b"shared").unwrap();
         a.queue(&greeting("1").unwrap());
-        a.queue_with(&frame(&Message::Ready).unwrap(), file);
+        a.queue_with(&frame(&Control::Ready).unwrap(), file);
         a.exchange().unwrap();
         b.wait(SOON, |b| Ok(b.greeted("1")?.then_some(()))).unwrap();
-        assert_eq!(b.wait(SOON, Channel::message).unwrap(), Message::Ready);
+        assert_eq!(b.wait(SOON, Socket::message).unwrap(), Control::Ready);
         let mut file = b.take_file().unwrap();
         let mut text = String::new();
         file.rewind().unwrap();
@@ -565,11 +570,11 @@ mod tests {
     #[test]
     fn an_end_that_is_silent_or_gone_is_an_error() {
         let (mut a, b) = pair();
-        let late = a.wait(Some(Duration::from_millis(20)), Channel::message).unwrap_err();
+        let late = a.wait(Some(Duration::from_millis(20)), Socket::message).unwrap_err();
         assert_eq!(late.to_string(), "the other end did not answer within 20ms");
         drop(b);
         a.queue(&[0; 9]);
-        assert!(matches!(a.wait(SOON, Channel::message), Err(MessageError::Gone)));
+        assert!(matches!(a.wait(SOON, Socket::message), Err(MessageError::Gone)));
         assert!(a.is_gone());
     }
 
@@ -593,7 +598,7 @@ mod tests {
                 a.exchange().unwrap();
                 drop(a);
                 if b.wait(SOON, |b| Ok(b.greeted("1.2.3")?.then_some(()))).is_ok() {
-                    while b.wait(SOON, Channel::message).is_ok() {}
+                    while b.wait(SOON, Socket::message).is_ok() {}
                 }
                 while let Ok(Some(_)) = take_message(&mut bytes) {}
             }

@@ -15,8 +15,8 @@ use rustix::net::{AddressFamily, RecvFlags, SocketType, getsockname, recv, socko
 use rustix::process::{Signal, getpid, kill_process};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
-use super::message::{Channel, Message, MessageError, frame, greeting, timespec};
-use super::{ProcessError, system};
+use super::error::{ProcessError, system};
+use super::message::{Control, MessageError, Socket, frame, greeting, timespec};
 
 /// Between two heartbeats.
 const BEAT: Duration = Duration::from_millis(50);
@@ -28,15 +28,15 @@ const TEXT_LIMIT: usize = 64 << 10;
 /// A worker that has found its coordinator.
 #[derive(Debug)]
 pub struct Attached {
-    /// The rank of this worker, below `size`.
-    pub rank: usize,
+    /// The index of this worker, below `workers`.
+    pub index: usize,
     /// Number of workers.
-    pub size: usize,
+    pub workers: usize,
     /// What the coordinator has for all workers.
     pub payload: Vec<u8>,
-    /// The shared memory.
-    pub region: File,
-    channel: Channel,
+    /// The file of the shared memory.
+    pub memory: File,
+    socket: Socket,
 }
 
 /// Finds the coordinator, which is at the other end of standard input.
@@ -44,31 +44,31 @@ pub struct Attached {
 /// To be called once, first of all and by the main thread. From then on the process ends with its
 /// coordinator, on Linux even while it is stopped; SIGINT, SIGTERM and SIGHUP do nothing, as they
 /// are sent to all processes of a run and the coordinator decides; and if the coordinator has
-/// chosen CPUs, this thread and those that it starts run there.
+/// chosen processors, this thread and those that it starts run there.
 ///
 /// # Errors
 /// Standard input that is no socket, or at whose other end is no coordinator of the same
-/// `version`, and CPUs that cannot be used. The coordinator is told if it can be.
+/// `version`, and processors that cannot be used. The coordinator hears of it if it can.
 pub fn attach(version: &str) -> Result<Attached, ProcessError> {
-    let stream = socket()?;
+    let stream = standard_input()?;
     for signal in [SIGINT, SIGTERM, SIGHUP] {
         signal_hook::flag::register(signal, Arc::new(AtomicBool::new(false)))
             .map_err(system("listen for signals"))?;
     }
     end_with_parent()?;
     name_process();
-    let mut channel = Channel::new(stream).map_err(system("use the coordinator's socket"))?;
-    channel.queue(&greeting(version)?);
-    channel.wait(Some(GREETING_WAIT), |channel| Ok(channel.greeted(version)?.then_some(())))?;
+    let mut socket = Socket::new(stream).map_err(system("use the coordinator's socket"))?;
+    socket.queue(&greeting(version)?);
+    socket.wait(Some(GREETING_WAIT), |socket| Ok(socket.greeted(version)?.then_some(())))?;
     // No limit from here on. The coordinator may be stopped; and if it ended before this process
     // asked to end with it, this finds the socket closed.
-    let setup = channel.wait(None, Channel::message)?;
-    let Message::Setup { rank, size, place, payload } = setup else {
+    let setup = socket.wait(None, Socket::message)?;
+    let Control::Setup { index, workers, processors, payload } = setup else {
         return Err(setup.unexpected().into());
     };
-    let region = channel.take_file().ok_or(MessageError::NoRegion)?;
-    let attached = Attached { rank, size, payload, region, channel };
-    match place.map_or(Ok(()), |place| place.bind()) {
+    let memory = socket.take_file().ok_or(MessageError::NoMemory)?;
+    let attached = Attached { index, workers, payload, memory, socket };
+    match processors.map_or(Ok(()), |processors| processors.bind()) {
         Ok(()) => Ok(attached),
         Err(error) => {
             attached.fail(&error.to_string())?;
@@ -85,21 +85,21 @@ impl Attached {
     /// # Errors
     /// A thread that cannot be started, or a coordinator that has gone.
     pub fn ready(&mut self, beat: impl Fn() + Send + 'static) -> Result<(), ProcessError> {
-        let stream = self.channel.stream().map_err(system("use the coordinator's socket"))?;
+        let stream = self.socket.stream().map_err(system("use the coordinator's socket"))?;
         thread::Builder::new()
             .name("heartbeat".to_owned())
             .spawn(move || keep_up(&stream, beat))
             .map_err(system("start a thread for the heartbeat"))?;
-        self.say(&Message::Ready)
+        self.say(&Control::Ready)
     }
 
-    /// Says that this worker cannot go on, and why; the user is told. The process is to end then.
+    /// Says that this worker cannot go on, and why, in words for users. The process is to end then.
     ///
     /// # Errors
     /// A coordinator that has gone.
     pub fn fail(mut self, text: &str) -> Result<(), ProcessError> {
         let text = text[..text.floor_char_boundary(TEXT_LIMIT)].to_owned();
-        self.say(&Message::Failed(text))
+        self.say(&Control::Failed(text))
     }
 
     /// Says that this worker is done, and what is left to say, which may be nothing. The process
@@ -108,19 +108,19 @@ impl Attached {
     /// # Errors
     /// A report of more than 64 MiB, about, or a coordinator that has gone.
     pub fn report(mut self, bytes: Vec<u8>) -> Result<(), ProcessError> {
-        self.say(&Message::Report(bytes))
+        self.say(&Control::Report(bytes))
     }
 
     /// Waits until the message is sent.
-    fn say(&mut self, message: &Message) -> Result<(), ProcessError> {
-        self.channel.queue(&frame(message)?);
-        let said = |channel: &mut Channel| channel.is_sent() && !channel.is_gone();
-        Ok(self.channel.wait(None, |channel| Ok(said(channel).then_some(())))?)
+    fn say(&mut self, message: &Control) -> Result<(), ProcessError> {
+        self.socket.queue(&frame(message)?);
+        let said = |socket: &mut Socket| socket.is_sent() && !socket.is_gone();
+        Ok(self.socket.wait(None, |socket| Ok(said(socket).then_some(())))?)
     }
 }
 
 /// Standard input, if it is a socket such as a coordinator makes.
-fn socket() -> Result<UnixStream, ProcessError> {
+fn standard_input() -> Result<UnixStream, ProcessError> {
     let input = io::stdin();
     let is_unix = || Ok(getsockname(&input)?.address_family() == AddressFamily::UNIX);
     let is_stream = || Ok(sockopt::socket_type(&input)? == SocketType::STREAM);

@@ -7,11 +7,11 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Barrier, Mutex};
 
-use crate::peers::{Message, Peers, Transfer};
+use crate::communicator::{Communicator, Message, Transfer};
 
-/// One of several ranks.
+/// The communicator of one of several ranks, each a thread.
 #[derive(Debug)]
-pub struct Threads {
+pub struct InProcess {
     rank: usize,
     shared: Arc<Shared>,
     /// Bytes sent by transfers that this rank started.
@@ -40,7 +40,7 @@ enum End {
     Receiver(Receiver<Vec<u32>>),
 }
 
-impl Threads {
+impl InProcess {
     /// So many ranks, each for a thread of its own.
     pub fn group(size: usize) -> Vec<Self> {
         let shared = Arc::new(Shared {
@@ -119,7 +119,7 @@ impl Shared {
     }
 }
 
-impl Peers for Threads {
+impl Communicator for InProcess {
     fn rank(&self) -> usize {
         self.rank
     }
@@ -129,14 +129,14 @@ impl Peers for Threads {
     }
 
     fn transfer(&self, outgoing: &[Message], incoming: &[Message]) -> Box<dyn Transfer> {
-        assert!(outgoing.iter().chain(incoming).all(|message| message.peer < self.size()));
+        assert!(outgoing.iter().chain(incoming).all(|message| message.rank < self.size()));
         let number = self.transfers.fetch_add(1, Ordering::Relaxed) + 1;
-        let sender = |message: &Message| self.shared.sender((number, self.rank, message.peer));
-        let receiver = |message: &Message| self.shared.receiver((number, message.peer, self.rank));
+        let sender = |message: &Message| self.shared.sender((number, self.rank, message.rank));
+        let receiver = |message: &Message| self.shared.receiver((number, message.rank, self.rank));
         let buffers = |messages: &[Message]| -> Vec<Vec<u32>> {
             messages.iter().map(|message| vec![0; message.words]).collect()
         };
-        Box::new(Channels {
+        Box::new(ThreadTransfer {
             outgoing: buffers(outgoing),
             incoming: buffers(incoming),
             senders: outgoing.iter().map(sender).collect(),
@@ -188,7 +188,7 @@ impl Peers for Threads {
 }
 
 /// A transfer between threads.
-struct Channels {
+struct ThreadTransfer {
     outgoing: Vec<Vec<u32>>,
     incoming: Vec<Vec<u32>>,
     senders: Vec<Sender<Vec<u32>>>,
@@ -197,7 +197,7 @@ struct Channels {
     sent: Arc<AtomicU64>,
 }
 
-impl Transfer for Channels {
+impl Transfer for ThreadTransfer {
     fn outgoing(&mut self) -> Vec<&mut [u32]> {
         assert!(!self.under_way, "a transfer that is under way");
         self.outgoing.iter_mut().map(Vec::as_mut_slice).collect()
@@ -235,9 +235,9 @@ mod tests {
     use super::*;
 
     /// Runs one function on all ranks at once.
-    fn on_all<T: Send>(size: usize, run: impl Fn(&Threads) -> T + Sync) -> Vec<T> {
+    fn on_all<T: Send>(size: usize, run: impl Fn(&InProcess) -> T + Sync) -> Vec<T> {
         std::thread::scope(|scope| {
-            let ranks: Vec<_> = Threads::group(size)
+            let ranks: Vec<_> = InProcess::group(size)
                 .into_iter()
                 .map(|rank| {
                     let run = &run;
@@ -251,13 +251,13 @@ mod tests {
     #[test]
     fn sums_and_largest_values_are_those_of_all_ranks() {
         for size in [1, 2, 5] {
-            let found = on_all(size, |peers| {
+            let found = on_all(size, |communicator| {
                 (0..50)
                     .map(|i| {
-                        let mut values = [i + peers.rank() as i64, -1, i64::MAX];
-                        peers.sum(&mut values);
-                        let mut most = [peers.rank() as i64, -i];
-                        peers.max(&mut most);
+                        let mut values = [i + communicator.rank() as i64, -1, i64::MAX];
+                        communicator.sum(&mut values);
+                        let mut most = [communicator.rank() as i64, -i];
+                        communicator.max(&mut most);
                         (values, most)
                     })
                     .collect::<Vec<_>>()
@@ -276,43 +276,43 @@ mod tests {
 
     #[test]
     fn messages_arrive_in_order_and_transfers_keep_apart() {
-        on_all(3, |peers| {
-            let (me, size) = (peers.rank(), peers.size());
+        on_all(3, |communicator| {
+            let (me, size) = (communicator.rank(), communicator.size());
             let words = |from: usize, to: usize| 1 + from * 2 + to;
-            let to = |peer| Message { peer, words: words(me, peer) };
-            let from = |peer| Message { peer, words: words(peer, me) };
+            let to = |other| Message { rank: other, words: words(me, other) };
+            let from = |other| Message { rank: other, words: words(other, me) };
             let messages = |message: &dyn Fn(usize) -> Message| (0..size).map(message).collect();
             let (outgoing, incoming): (Vec<_>, Vec<_>) = (messages(&to), messages(&from));
-            let mut transfers = [(); 2].map(|()| peers.transfer(&outgoing, &incoming));
+            let mut transfers = [(); 2].map(|()| communicator.transfer(&outgoing, &incoming));
             for round in 0..20_u32 {
                 for (which, transfer) in transfers.iter_mut().enumerate() {
-                    for (peer, words) in transfer.outgoing().into_iter().enumerate() {
-                        words.fill(round * 1000 + which as u32 * 100 + (me * 10 + peer) as u32);
+                    for (other, words) in transfer.outgoing().into_iter().enumerate() {
+                        words.fill(round * 1000 + which as u32 * 100 + (me * 10 + other) as u32);
                     }
                     transfer.start();
                 }
                 for (which, transfer) in transfers.iter_mut().enumerate().rev() {
                     transfer.progress();
                     transfer.finish();
-                    for (peer, found) in transfer.incoming().into_iter().enumerate() {
-                        let word = round * 1000 + which as u32 * 100 + (peer * 10 + me) as u32;
-                        assert_eq!(found, vec![word; words(peer, me)]);
+                    for (other, found) in transfer.incoming().into_iter().enumerate() {
+                        let word = round * 1000 + which as u32 * 100 + (other * 10 + me) as u32;
+                        assert_eq!(found, vec![word; words(other, me)]);
                     }
                 }
             }
             if me == 0 {
                 for i in 0..9 {
                     let mut words = [0; 2];
-                    peers.receive(1 + i % 2, &mut words);
+                    communicator.receive(1 + i % 2, &mut words);
                     assert_eq!(words, [i as u32 / 2, 1 + i as u32 % 2]);
                 }
             } else {
-                (0..6 - me as u32).for_each(|i| peers.send(0, &[i, me as u32]));
+                (0..6 - me as u32).for_each(|i| communicator.send(0, &[i, me as u32]));
             }
             let mut bytes = if me == 0 { vec![1, 2, 3] } else { Vec::new() };
-            peers.broadcast(&mut bytes);
+            communicator.broadcast(&mut bytes);
             assert_eq!(bytes, [1, 2, 3]);
-            peers.rest();
+            communicator.rest();
         });
     }
 }

@@ -1,30 +1,29 @@
-//! Ranks that share no memory: each has a part of the work, and sends others what they need of it.
+//! What ranks, which share no memory, send each other.
 //!
-//! A run on a cluster has a [`World`](crate::World) on each machine, and the worlds are [`Peers`].
-//! What travels again and again, between the same ranks and in the same sizes, is a [`Transfer`]:
-//! it is set up once and started as often as it is needed. All else is rare: sums of a few
-//! integers, and what the root gathers to write it down. As in MPI, all ranks make the same calls
-//! in the same order, and rank 0 is the root.
+//! A [`Communicator`] is how a rank reaches the others. What is sent again and again, between the
+//! same ranks and in the same sizes, is a [`Transfer`]: it is set up once and started as often as
+//! it is needed. All else is rare: sums of a few integers, and what the root gathers to write it
+//! down. As in MPI, all ranks make the same calls in the same order, and rank 0 is the root.
 
 use std::fmt::Debug;
 
-mod alone;
-mod threads;
+mod in_process;
+mod single;
 
-pub use alone::Alone;
-pub use threads::Threads;
+pub use in_process::InProcess;
+pub use single::Single;
 
 /// A message of a transfer, as one of its ends sees it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Message {
     /// The rank at the other end, which may be this one.
-    pub peer: usize,
+    pub rank: usize,
     /// Words of four bytes.
     pub words: usize,
 }
 
-/// The ranks of a run, seen from one of them.
-pub trait Peers: Debug + Send + Sync {
+/// How one of the ranks of a run reaches the others.
+pub trait Communicator: Debug + Send + Sync {
     /// This rank's number, from 0.
     fn rank(&self) -> usize;
 
@@ -76,7 +75,7 @@ pub trait Transfer: Send {
     /// If the transfer is under way.
     fn incoming(&self) -> Vec<&[u32]>;
 
-    /// Begins to send and to receive.
+    /// Starts to send and to receive.
     ///
     /// # Panics
     /// If the transfer is under way.

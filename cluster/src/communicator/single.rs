@@ -1,10 +1,10 @@
-//! One rank: the peers of a run that has none.
+//! The communicator of a run with one rank.
 
-use crate::peers::{Message, Peers, Transfer};
+use crate::communicator::{Communicator, Message, Transfer};
 
-/// The only rank.
+/// How the only rank reaches itself.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Alone;
+pub struct Single;
 
 /// Messages to oneself.
 struct Loop {
@@ -12,7 +12,7 @@ struct Loop {
     incoming: Vec<Vec<u32>>,
 }
 
-impl Peers for Alone {
+impl Communicator for Single {
     fn rank(&self) -> usize {
         0
     }
@@ -22,7 +22,7 @@ impl Peers for Alone {
     }
 
     fn transfer(&self, outgoing: &[Message], incoming: &[Message]) -> Box<dyn Transfer> {
-        assert!(outgoing.iter().chain(incoming).all(|message| message.peer == 0));
+        assert!(outgoing.iter().chain(incoming).all(|message| message.rank == 0));
         assert_eq!(outgoing, incoming, "the two ends of a message");
         let buffers = || outgoing.iter().map(|message| vec![0; message.words]).collect();
         Box::new(Loop { outgoing: buffers(), incoming: buffers() })

@@ -1,7 +1,8 @@
-//! Where workers run: each on CPUs of its own, inside one NUMA node.
+//! Which processors a worker is bound to: CPUs of its own, inside one NUMA node.
 //!
 //! Memory of another node is slower, and a thread that moves leaves its caches behind. The logic
-//! works on a [`Machine`], so that tests can make one up; only [`Machine::detect`] asks the system.
+//! works on a [`Topology`], so that tests can make one up; only [`Topology::detect`] asks the
+//! system.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -13,9 +14,9 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-/// Why workers cannot be placed.
+/// Why workers cannot be bound to processors.
 #[derive(Debug, Error)]
-pub enum PlaceError {
+pub enum AffinityError {
     /// The system has no way to bind a thread.
     #[error("binding workers to CPUs needs Linux")]
     Unsupported,
@@ -56,7 +57,7 @@ pub enum PlaceError {
         /// Workers that fit.
         room: usize,
     },
-    /// A CPU whose number the system's interface has no place for.
+    /// A CPU whose number the system's interface has no bit for.
     #[error("cannot bind to CPU {cpu}: CPUs are numbered below {limit}")]
     Number {
         /// The CPU.
@@ -74,28 +75,28 @@ pub enum PlaceError {
     },
 }
 
-/// The CPUs of one worker.
+/// The processors that a worker is bound to.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Place {
+pub struct Processors {
     /// Number of the NUMA node, as the system counts.
     pub node: usize,
     /// Numbers of the CPUs, ascending, as the system counts.
     pub cpus: Vec<usize>,
 }
 
-impl Place {
+impl Processors {
     /// Binds the calling thread to the CPUs. Threads that it starts later inherit that.
     ///
     /// # Errors
     /// CPUs that this process may not use, or another system than Linux.
-    pub fn bind(&self) -> Result<(), PlaceError> {
+    pub fn bind(&self) -> Result<(), AffinityError> {
         system::set_allowed(&self.cpus)
             .map_err(|error| error.while_trying(|| format!("bind a thread to {self}")))
     }
 }
 
 /// For example `node 0, cpus 0-1,4`.
-impl fmt::Display for Place {
+impl fmt::Display for Processors {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "node {}, cpus ", self.node)?;
         for (index, run) in self.cpus.chunk_by(|a, b| a.checked_add(1) == Some(*b)).enumerate() {
@@ -110,15 +111,18 @@ impl fmt::Display for Place {
     }
 }
 
-/// Runs `work` with the calling thread bound to `place`, and then lets the thread run where it did
-/// before.
+/// Runs `work` with the calling thread bound to `processors`, and then lets the thread run where
+/// it did before.
 ///
 /// Memory lies on the node of the thread that first writes to it. Threads of a pool that exists
 /// already are not bound.
 ///
 /// # Errors
-/// As [`Place::bind`]; then `work` has not run.
-pub fn with_bound<T>(place: &Place, work: impl FnOnce() -> T) -> Result<T, PlaceError> {
+/// As [`Processors::bind`]; then `work` has not run.
+pub fn with_bound<T>(
+    processors: &Processors,
+    work: impl FnOnce() -> T,
+) -> Result<T, AffinityError> {
     /// Also a `work` that panics leaves the thread as it was.
     struct Restore(Vec<usize>);
     impl Drop for Restore {
@@ -129,21 +133,22 @@ pub fn with_bound<T>(place: &Place, work: impl FnOnce() -> T) -> Result<T, Place
         }
     }
     let _restore = Restore(system::allowed()?);
-    place.bind()?;
+    processors.bind()?;
     Ok(work())
 }
 
-/// The places of `workers` workers of `threads` threads on this machine; see [`Machine::assign`].
+/// Processors for `workers` workers of `threads` threads on this machine; see
+/// [`Topology::assign`].
 ///
 /// # Errors
-/// As [`Machine::detect`] and [`Machine::assign`].
-pub fn assign(workers: usize, threads: usize) -> Result<Vec<Place>, PlaceError> {
-    Machine::detect()?.assign(workers, threads)
+/// As [`Topology::detect`] and [`Topology::assign`].
+pub fn assign(workers: usize, threads: usize) -> Result<Vec<Processors>, AffinityError> {
+    Topology::detect()?.assign(workers, threads)
 }
 
 /// The CPUs that this process may use.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Machine {
+pub struct Topology {
     nodes: Vec<Node>,
 }
 
@@ -155,13 +160,13 @@ struct Node {
     cores: Vec<Vec<usize>>,
 }
 
-impl Machine {
+impl Topology {
     /// What the system says about this machine and this process. A system that says nothing about
     /// nodes has one.
     ///
     /// # Errors
     /// Another system than Linux, or one that does not say which CPUs this process may use.
-    pub fn detect() -> Result<Self, PlaceError> {
+    pub fn detect() -> Result<Self, AffinityError> {
         Ok(Self::read(Path::new("/sys/devices/system"), &system::allowed()?))
     }
 
@@ -196,29 +201,29 @@ impl Machine {
         Self { nodes }
     }
 
-    /// A place for each of `workers` workers of `threads` threads, in the order of ranks.
+    /// Processors for each of `workers` workers of `threads` threads, in the order of workers.
     ///
-    /// The workers are spread evenly over the nodes, and neighbouring ranks share a node. Inside a
-    /// node each gets an equal share of the cores, and of these one CPU per core as long as there
+    /// The workers are spread evenly over the nodes, and neighbouring workers share a node. Inside
+    /// a node each gets an equal share of the cores, and of these one CPU per core as long as there
     /// are enough.
     ///
     /// # Errors
     /// Too few CPUs, also inside the nodes, or workers of no threads.
-    pub fn assign(&self, workers: usize, threads: usize) -> Result<Vec<Place>, PlaceError> {
+    pub fn assign(&self, workers: usize, threads: usize) -> Result<Vec<Processors>, AffinityError> {
         if threads == 0 {
-            return Err(PlaceError::NoThreads);
+            return Err(AffinityError::NoThreads);
         }
         let cpus: usize = self.nodes.iter().map(Node::cpus).sum();
         if workers.saturating_mul(threads) > cpus {
-            return Err(PlaceError::TooFew { workers, threads, cpus });
+            return Err(AffinityError::TooFew { workers, threads, cpus });
         }
         let room: usize = self.nodes.iter().map(|node| node.cpus() / threads).sum();
         if room < workers {
             let largest = self.nodes.iter().map(Node::cpus).max().unwrap_or(0);
             return Err(if room == 0 {
-                PlaceError::NodeTooSmall { threads, cpus: largest }
+                AffinityError::NodeTooSmall { threads, cpus: largest }
             } else {
-                PlaceError::Split { workers, threads, room }
+                AffinityError::Split { workers, threads, room }
             });
         }
         let mut counts = vec![0_usize; self.nodes.len()];
@@ -232,8 +237,8 @@ impl Machine {
                 counts[index] += 1;
             }
         }
-        let places = self.nodes.iter().zip(counts);
-        Ok(places.flat_map(|(node, count)| node.places(count, threads)).collect())
+        let nodes = self.nodes.iter().zip(counts);
+        Ok(nodes.flat_map(|(node, count)| node.assign(count, threads)).collect())
     }
 }
 
@@ -242,10 +247,10 @@ impl Node {
         self.cores.iter().map(Vec::len).sum()
     }
 
-    /// Places for `count` workers, which must fit.
-    fn places(&self, count: usize, threads: usize) -> Vec<Place> {
+    /// Processors for `count` workers, which must fit.
+    fn assign(&self, count: usize, threads: usize) -> Vec<Processors> {
         let cpus = self.cpus();
-        // Each CPU with its place inside its core, core after core.
+        // Each CPU with its number inside its core, core after core.
         let all: Vec<(usize, usize)> =
             self.cores.iter().flat_map(|core| core.iter().copied().enumerate()).collect();
         (0..count)
@@ -256,7 +261,7 @@ impl Node {
                 let mut cpus: Vec<usize> =
                     share.into_iter().take(threads).map(|(_, cpu)| cpu).collect();
                 cpus.sort_unstable();
-                Place { node: self.number, cpus }
+                Processors { node: self.number, cpus }
             })
             .collect()
     }
@@ -277,7 +282,7 @@ fn parse_list(text: &str) -> Option<Vec<RangeInclusive<usize>>> {
         .collect()
 }
 
-impl PlaceError {
+impl AffinityError {
     /// The error of the system with what was tried.
     fn while_trying(self, what: impl FnOnce() -> String) -> Self {
         match self {
@@ -290,12 +295,12 @@ impl PlaceError {
 /// The CPUs that the calling thread may use.
 #[cfg(target_os = "linux")]
 mod system {
-    use super::PlaceError;
+    use super::AffinityError;
     use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 
     /// Their numbers, ascending.
-    pub fn allowed() -> Result<Vec<usize>, PlaceError> {
-        let set = sched_getaffinity(None).map_err(|error| PlaceError::System {
+    pub fn allowed() -> Result<Vec<usize>, AffinityError> {
+        let set = sched_getaffinity(None).map_err(|error| AffinityError::System {
             what: "ask which CPUs this process may use".to_owned(),
             error: error.into(),
         })?;
@@ -303,15 +308,15 @@ mod system {
     }
 
     /// From now on these.
-    pub fn set_allowed(cpus: &[usize]) -> Result<(), PlaceError> {
+    pub fn set_allowed(cpus: &[usize]) -> Result<(), AffinityError> {
         let mut set = CpuSet::new();
         for &cpu in cpus {
             if cpu >= CpuSet::MAX_CPU {
-                return Err(PlaceError::Number { cpu, limit: CpuSet::MAX_CPU });
+                return Err(AffinityError::Number { cpu, limit: CpuSet::MAX_CPU });
             }
             set.set(cpu);
         }
-        sched_setaffinity(None, &set).map_err(|error| PlaceError::System {
+        sched_setaffinity(None, &set).map_err(|error| AffinityError::System {
             what: "bind a thread to CPUs".to_owned(),
             error: error.into(),
         })
@@ -321,14 +326,14 @@ mod system {
 /// Other systems than Linux give hints at best.
 #[cfg(not(target_os = "linux"))]
 mod system {
-    use super::PlaceError;
+    use super::AffinityError;
 
-    pub fn allowed() -> Result<Vec<usize>, PlaceError> {
-        Err(PlaceError::Unsupported)
+    pub fn allowed() -> Result<Vec<usize>, AffinityError> {
+        Err(AffinityError::Unsupported)
     }
 
-    pub fn set_allowed(_cpus: &[usize]) -> Result<(), PlaceError> {
-        Err(PlaceError::Unsupported)
+    pub fn set_allowed(_cpus: &[usize]) -> Result<(), AffinityError> {
+        Err(AffinityError::Unsupported)
     }
 }
 
@@ -338,7 +343,7 @@ mod tests {
     use proptest::prelude::*;
 
     /// Nodes of so many cores of so many CPUs, all numbered through.
-    fn machine(nodes: &[usize], siblings: usize) -> Machine {
+    fn topology(nodes: &[usize], siblings: usize) -> Topology {
         let mut next = 0;
         let node = |(number, &cores): (usize, &usize)| Node {
             number,
@@ -349,25 +354,25 @@ mod tests {
                 })
                 .collect(),
         };
-        Machine { nodes: nodes.iter().enumerate().map(node).collect() }
+        Topology { nodes: nodes.iter().enumerate().map(node).collect() }
     }
 
-    fn shown(machine: &Machine, workers: usize, threads: usize) -> Vec<String> {
-        machine.assign(workers, threads).unwrap().iter().map(Place::to_string).collect()
+    fn shown(topology: &Topology, workers: usize, threads: usize) -> Vec<String> {
+        topology.assign(workers, threads).unwrap().iter().map(Processors::to_string).collect()
     }
 
-    fn refused(machine: &Machine, workers: usize, threads: usize) -> String {
-        machine.assign(workers, threads).unwrap_err().to_string()
+    fn refused(topology: &Topology, workers: usize, threads: usize) -> String {
+        topology.assign(workers, threads).unwrap_err().to_string()
     }
 
     #[test]
     fn neighbours_share_a_node() {
-        let two = machine(&[4, 4], 1);
+        let two = topology(&[4, 4], 1);
         let full = ["node 0, cpus 0-1", "node 0, cpus 2-3", "node 1, cpus 4-5", "node 1, cpus 6-7"];
         assert_eq!(shown(&two, 4, 2), full);
         assert_eq!(shown(&two, 2, 3), ["node 0, cpus 0-2", "node 1, cpus 4-6"]);
         assert_eq!(shown(&two, 0, 3), [""; 0]);
-        let uneven = machine(&[2, 6], 1);
+        let uneven = topology(&[2, 6], 1);
         assert_eq!(
             shown(&uneven, 3, 2),
             ["node 0, cpus 0-1", "node 1, cpus 2-3", "node 1, cpus 5-6"]
@@ -377,7 +382,7 @@ mod tests {
 
     #[test]
     fn a_worker_takes_whole_cores_last() {
-        let two = machine(&[4], 2);
+        let two = topology(&[4], 2);
         assert_eq!(shown(&two, 1, 4), ["node 0, cpus 0,2,4,6"]);
         assert_eq!(shown(&two, 1, 5), ["node 0, cpus 0-2,4,6"]);
         assert_eq!(shown(&two, 2, 2), ["node 0, cpus 0,2", "node 0, cpus 4,6"]);
@@ -386,7 +391,7 @@ mod tests {
 
     #[test]
     fn what_does_not_fit_is_refused_with_the_reason() {
-        let two = machine(&[4, 4], 1);
+        let two = topology(&[4, 4], 1);
         assert_eq!(
             refused(&two, 5, 2),
             "5 workers of 2 threads need a CPU for each thread, and this process may use 8 CPUs"
@@ -396,7 +401,7 @@ mod tests {
             "a worker of 5 threads fits into no NUMA node: the largest has 4 CPUs"
         );
         assert_eq!(
-            refused(&machine(&[4, 5], 1), 3, 3),
+            refused(&topology(&[4, 5], 1), 3, 3),
             "3 workers of 3 threads do not fit: a worker stays inside one NUMA node, and the \
              nodes hold 2 such workers"
         );
@@ -414,8 +419,8 @@ mod tests {
         };
         let all = [0, 1, 2, 3, 5];
         assert_eq!(
-            Machine::read(folder.path(), &all),
-            Machine { nodes: vec![Node { number: 0, cores: all.map(|cpu| vec![cpu]).to_vec() }] }
+            Topology::read(folder.path(), &all),
+            Topology { nodes: vec![Node { number: 0, cores: all.map(|cpu| vec![cpu]).to_vec() }] }
         );
         write("node/node10/cpulist", "1,3,5-4294967295\n");
         write("node/node2/cpulist", "0,2,4\n");
@@ -429,30 +434,30 @@ mod tests {
             Node { number: 2, cores: vec![vec![0], vec![2]] },
             Node { number: 10, cores: vec![vec![1, 3], vec![5]] },
         ];
-        assert_eq!(Machine::read(folder.path(), &all), Machine { nodes });
+        assert_eq!(Topology::read(folder.path(), &all), Topology { nodes });
     }
 
     proptest! {
         #[test]
-        fn places_are_apart_and_inside_a_node(
+        fn workers_are_apart_and_each_inside_a_node(
             nodes in proptest::collection::vec(0_usize..7, 0..5), siblings in 1_usize..4,
             workers in 0_usize..20, threads in 0_usize..9,
         ) {
-            let machine = machine(&nodes, siblings);
-            let Ok(places) = machine.assign(workers, threads) else {
+            let topology = topology(&nodes, siblings);
+            let Ok(assigned) = topology.assign(workers, threads) else {
                 let room: usize =
                     nodes.iter().map(|n| (n * siblings).checked_div(threads).unwrap_or(0)).sum();
                 prop_assert!(room < workers || threads == 0);
                 return Ok(());
             };
-            prop_assert_eq!(places.len(), workers);
-            prop_assert!(places.is_sorted_by_key(|place| place.node));
+            prop_assert_eq!(assigned.len(), workers);
+            prop_assert!(assigned.is_sorted_by_key(|processors| processors.node));
             let mut seen = std::collections::BTreeSet::new();
-            for place in &places {
-                prop_assert_eq!(place.cpus.len(), threads);
-                prop_assert!(place.cpus.is_sorted());
-                let node = &machine.nodes[place.node];
-                for cpu in &place.cpus {
+            for processors in &assigned {
+                prop_assert_eq!(processors.cpus.len(), threads);
+                prop_assert!(processors.cpus.is_sorted());
+                let node = &topology.nodes[processors.node];
+                for cpu in &processors.cpus {
                     prop_assert!(node.cores.iter().flatten().any(|own| own == cpu));
                     prop_assert!(seen.insert(*cpu));
                 }
@@ -461,10 +466,10 @@ mod tests {
 
         #[test]
         fn lists_come_back(numbers in proptest::collection::btree_set(0_usize..99, 0..20)) {
-            let place = Place { node: 0, cpus: numbers.iter().copied().collect() };
-            let text = place.to_string();
+            let processors = Processors { node: 0, cpus: numbers.iter().copied().collect() };
+            let text = processors.to_string();
             let list = parse_list(text.strip_prefix("node 0, cpus ").unwrap()).unwrap();
-            prop_assert_eq!(list.into_iter().flatten().collect::<Vec<_>>(), place.cpus);
+            prop_assert_eq!(list.into_iter().flatten().collect::<Vec<_>>(), processors.cpus);
         }
 
         #[test]
@@ -479,20 +484,20 @@ mod tests {
     #[test]
     fn a_bound_thread_is_let_go() {
         let before = system::allowed().unwrap();
-        let places = assign(1, 1).unwrap();
-        assert_eq!(with_bound(&places[0], || system::allowed().unwrap()).unwrap(), places[0].cpus);
+        let one = assign(1, 1).unwrap().remove(0);
+        assert_eq!(with_bound(&one, || system::allowed().unwrap()).unwrap(), one.cpus);
         assert_eq!(system::allowed().unwrap(), before);
         std::thread::spawn(move || {
-            places[0].bind().unwrap();
+            one.bind().unwrap();
             let child = std::thread::spawn(|| system::allowed().unwrap());
-            assert_eq!(child.join().unwrap(), places[0].cpus);
+            assert_eq!(child.join().unwrap(), one.cpus);
         })
         .join()
         .unwrap();
-        let nowhere = Place { node: 0, cpus: vec![1023] };
+        let nowhere = Processors { node: 0, cpus: vec![1023] };
         let text = with_bound(&nowhere, || ()).unwrap_err().to_string();
         assert!(text.starts_with("cannot bind a thread to node 0, cpus 1023: "), "{text}");
-        assert!(Place { node: 0, cpus: vec![usize::MAX] }.bind().is_err());
+        assert!(Processors { node: 0, cpus: vec![usize::MAX] }.bind().is_err());
         assert_eq!(system::allowed().unwrap(), before);
     }
 }
