@@ -4,8 +4,9 @@
 //! it: our own and foreign `.npy` files ([`npy`]), PNG strips and folders of PNG slices
 //! ([`png`]; [`series`] puts the slices in order). Outwards, [`slices`] exports a tile as PNG
 //! files, [`picture`] draws its preview, [`sidecar`] records where it came from, and all of them
-//! write through [`write`](mod@write), which never loses an existing file. [`checkpoint`] is both
-//! ways: the state of a run that is to go on later.
+//! write through [`write`](mod@write), which never loses an existing file; [`claim`] keeps others
+//! from the same output meanwhile, and [`unfinished`] knows what must go should the process end at
+//! once. [`checkpoint`] is both ways: the state of a run that is to go on later.
 //!
 //! Tiles and checkpoints may be larger than memory. They are written from pieces ([`numbers`]), and
 //! checkpoints are read in pieces, so that who writes or reads for others need not hold them.
@@ -14,6 +15,7 @@
 //! the rule, and allocates no more than the size of the file can justify.
 
 pub mod checkpoint;
+pub mod claim;
 pub(crate) mod hashed;
 pub mod npy;
 pub mod numbers;
@@ -23,4 +25,5 @@ pub mod series;
 pub mod sidecar;
 pub mod slices;
 pub mod source;
+pub mod unfinished;
 pub mod write;

@@ -357,10 +357,17 @@ fn encode_with(
         Depth::Eight => BitDepth::Eight,
         Depth::Sixteen => BitDepth::Sixteen,
     });
-    let mut writer = encoder.write_header()?;
-    writer.write_image_data(&data)?;
-    writer.finish()?;
-    Ok(())
+    encoder
+        .write_header()
+        .and_then(|mut writer| {
+            writer.write_image_data(&data)?;
+            writer.finish()
+        })
+        .map_err(|error| match error {
+            // As it is: the codec's own way makes another kind of it.
+            codec::EncodingError::IoError(error) => error,
+            error => std::io::Error::other(error),
+        })
 }
 
 #[cfg(test)]
@@ -374,6 +381,38 @@ mod tests {
 
     fn read(bytes: &[u8]) -> Result<Raster, PngError> {
         decode(Cursor::new(bytes), bytes.len() as u64)
+    }
+
+    /// Takes so many bytes.
+    struct Full(usize);
+
+    impl Write for Full {
+        fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+            self.0 = self.0.checked_sub(bytes.len()).ok_or(std::io::ErrorKind::StorageFull)?;
+            Ok(bytes.len())
+        }
+
+        fn flush(&mut self) -> std::io::Result<()> {
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn a_full_disk_is_reported_as_such() {
+        let raster = Raster {
+            width: 2,
+            height: 1,
+            layout: PixelFormat::Gray,
+            depth: Depth::Eight,
+            levels: vec![1, 2],
+        };
+        let mut bytes = Vec::new();
+        encode(&raster, &mut bytes).unwrap();
+        for size in 0..bytes.len() {
+            let error = encode(&raster, &mut Full(size)).unwrap_err();
+            assert_eq!(error.kind(), std::io::ErrorKind::StorageFull, "{size}: {error}");
+        }
+        encode(&raster, &mut Full(bytes.len())).unwrap();
     }
 
     #[test]

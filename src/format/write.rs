@@ -13,6 +13,8 @@ use std::path::{Path, PathBuf};
 use tempfile::{NamedTempFile, TempPath};
 use thiserror::Error;
 
+use super::unfinished::Unfinished;
+
 /// Why an output cannot be written.
 #[derive(Debug, Error)]
 pub enum WriteError {
@@ -73,6 +75,26 @@ pub enum WriteError {
         /// The picture.
         path: PathBuf,
     },
+    /// Somebody else claims the output.
+    #[error(
+        "another run is making {}: wait for it to end, or write to another path",
+        path.display()
+    )]
+    Claimed {
+        /// The output.
+        path: PathBuf,
+    },
+    /// Something else has the name of the lock that claims the output.
+    #[error(
+        "cannot write {}: {} is not an empty file, as the lock of a run would be",
+        path.display(), lock.display()
+    )]
+    NotLock {
+        /// The output.
+        path: PathBuf,
+        /// What is in the way.
+        lock: PathBuf,
+    },
     /// The system refuses.
     #[error("cannot write {}: {error}", path.display())]
     Io {
@@ -88,6 +110,17 @@ impl WriteError {
     pub(super) fn io(path: &Path) -> impl FnOnce(io::Error) -> Self {
         move |error| Self::Io { path: path.to_owned(), error }
     }
+
+    /// Whether there is no room: the disk or a quota is full, or files may not become so large.
+    pub fn is_full(&self) -> bool {
+        matches!(self, Self::Io { error, .. } if is_full(error))
+    }
+}
+
+/// Whether the system has no room for what is written.
+pub(crate) fn is_full(error: &io::Error) -> bool {
+    use io::ErrorKind::{FileTooLarge, QuotaExceeded, StorageFull};
+    matches!(error.kind(), StorageFull | QuotaExceeded | FileTooLarge)
 }
 
 /// What to do with an output that exists.
@@ -154,6 +187,7 @@ pub struct Staged {
     target: Target,
     existing: Existing,
     file: TempPath,
+    unfinished: Unfinished,
 }
 
 impl Staged {
@@ -167,12 +201,14 @@ impl Staged {
         content: impl FnOnce(&mut dyn Write) -> io::Result<()>,
     ) -> Result<Self, WriteError> {
         let target = Target::new(path, existing)?;
-        let mut file = temporary(&target.folder).map_err(WriteError::io(path))?;
+        let Temporary { mut file, unfinished } =
+            temporary(&target.folder).map_err(WriteError::io(path))?;
         let mut buffer = BufWriter::new(file.as_file_mut());
         content(&mut buffer).and_then(|()| buffer.flush()).map_err(WriteError::io(path))?;
         drop(buffer);
         file.as_file().sync_all().map_err(WriteError::io(path))?;
-        Ok(Self { path: path.to_owned(), target, existing, file: file.into_temp_path() })
+        let file = file.into_temp_path();
+        Ok(Self { path: path.to_owned(), target, existing, file, unfinished })
     }
 
     /// Gives the file its name.
@@ -180,12 +216,12 @@ impl Staged {
     /// # Errors
     /// Somebody else took the name meanwhile and it is to be kept, or the system refuses.
     pub fn finish(self) -> Result<(), WriteError> {
-        let Self { path, target, existing, file } = self;
-        match existing {
+        let Self { path, target, existing, file, mut unfinished } = self;
+        let persisted = unfinished.complete(|| match existing {
             Existing::Keep => file.persist_noclobber(&target.path),
             Existing::Replace => file.persist(&target.path),
-        }
-        .map_err(|failure| match failure.error.kind() {
+        });
+        persisted.map_err(|failure| match failure.error.kind() {
             // Someone else took the name while the file was written.
             io::ErrorKind::AlreadyExists => WriteError::Exists { path: path.clone() },
             _ => WriteError::Io { path: path.clone(), error: failure.error },
@@ -217,13 +253,13 @@ pub fn make_folder(path: &Path) -> Result<(), WriteError> {
 }
 
 /// Where a file will be, after all checks that can be made before writing.
-struct Target {
-    path: PathBuf,
-    folder: PathBuf,
+pub(super) struct Target {
+    pub path: PathBuf,
+    pub folder: PathBuf,
 }
 
 impl Target {
-    fn new(path: &Path, existing: Existing) -> Result<Self, WriteError> {
+    pub fn new(path: &Path, existing: Existing) -> Result<Self, WriteError> {
         let owned = || path.to_owned();
         if path.file_name().is_none() {
             return Err(WriteError::NoName { path: owned() });
@@ -260,8 +296,15 @@ fn folder_of(path: &Path) -> &Path {
     }
 }
 
+/// A file without a lasting name.
+struct Temporary {
+    /// Removed before it is no longer unfinished.
+    file: NamedTempFile,
+    unfinished: Unfinished,
+}
+
 /// An empty file without a lasting name, with the permissions that any new file would get.
-fn temporary(folder: &Path) -> io::Result<NamedTempFile> {
+fn temporary(folder: &Path) -> io::Result<Temporary> {
     let mut builder = tempfile::Builder::new();
     builder.prefix(".perceptile-");
     #[cfg(unix)]
@@ -270,12 +313,18 @@ fn temporary(folder: &Path) -> io::Result<NamedTempFile> {
         // The process's mask applies, as to a file that it creates itself.
         builder.permissions(fs::Permissions::from_mode(0o666));
     }
-    builder.tempfile_in(folder)
+    let (file, unfinished) = Unfinished::make(|| {
+        let file = builder.tempfile_in(folder)?;
+        let path = file.path().to_owned();
+        Ok::<_, io::Error>((file, path))
+    })?;
+    Ok(Temporary { file, unfinished })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::format::unfinished;
 
     fn names(folder: &Path) -> Vec<String> {
         let mut names: Vec<_> = fs::read_dir(folder)
@@ -322,6 +371,21 @@ mod tests {
     }
 
     #[test]
+    fn a_file_is_unfinished_until_it_has_its_name() {
+        let folder = tempfile::tempdir().unwrap();
+        let only = || folder.path().join(&names(folder.path())[0]);
+        let mut temporary = PathBuf::new();
+        write(&folder.path().join("a"), Existing::Keep, |out| {
+            temporary = only();
+            assert!(unfinished::is_registered(&temporary));
+            out.write_all(b"content")
+        })
+        .unwrap();
+        assert_eq!(only(), folder.path().join("a"));
+        assert!(!unfinished::is_registered(&temporary) && !unfinished::is_registered(&only()));
+    }
+
+    #[test]
     fn a_failure_leaves_the_old_file_and_no_other() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a");
@@ -333,6 +397,22 @@ mod tests {
         assert!(result.unwrap_err().to_string().contains("disk full"));
         assert_eq!(fs::read_to_string(&path).unwrap(), "old");
         assert_eq!(names(folder.path()), ["a"]);
+    }
+
+    #[test]
+    fn a_full_disk_is_told_from_other_failures() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a");
+        for (kind, full) in [
+            (io::ErrorKind::StorageFull, true),
+            (io::ErrorKind::QuotaExceeded, true),
+            (io::ErrorKind::FileTooLarge, true),
+            (io::ErrorKind::PermissionDenied, false),
+        ] {
+            let error = write(&path, Existing::Keep, |_| Err(kind.into())).unwrap_err();
+            assert_eq!(error.is_full(), full, "{error}");
+        }
+        assert!(!WriteError::Exists { path }.is_full());
     }
 
     #[test]

@@ -10,6 +10,7 @@ use tempfile::TempDir;
 
 use super::error::ReportError;
 use crate::format::picture::Image;
+use crate::format::unfinished::Unfinished;
 use crate::format::write::{self, Existing, WriteError};
 
 /// By this, near its start, a page is known to be of this program.
@@ -23,7 +24,14 @@ pub(super) const PAGE: &str = "index.html";
 pub(super) struct Folder {
     out: PathBuf,
     existing: Existing,
-    temporary: TempDir,
+    temporary: Temporary,
+}
+
+/// A folder without a lasting name.
+struct Temporary {
+    /// Removed before it is no longer unfinished.
+    folder: TempDir,
+    unfinished: Unfinished,
 }
 
 impl Folder {
@@ -67,7 +75,7 @@ impl Folder {
     }
 
     fn path(&self, name: &str) -> Result<PathBuf, WriteError> {
-        let path = self.temporary.path().join(name);
+        let path = self.temporary.folder.path().join(name);
         if let Some(folder) = path.parent() {
             fs::create_dir_all(folder)
                 .map_err(|error| WriteError::Io { path: folder.to_owned(), error })?;
@@ -80,26 +88,28 @@ impl Folder {
     /// # Errors
     /// Something else took the name meanwhile, or the system refuses.
     pub fn finish(self) -> Result<(), ReportError> {
-        let Self { out, existing, temporary } = self;
+        let Self { out, existing, mut temporary } = self;
         check(&out, existing)?;
         let refuse = |error| io_error(&out, error);
-        let old = if out.symlink_metadata().is_ok() {
-            let around = temporary.path().parent().unwrap_or(Path::new("."));
-            let old = self::temporary(around).map_err(refuse)?;
-            fs::rename(&out, old.path().join("old")).map_err(refuse)?;
-            Some(old)
-        } else {
-            None
-        };
-        if let Err(error) = fs::rename(temporary.path(), &out) {
-            if let Some(old) = old {
-                // Better the old one than none.
-                let _ = fs::rename(old.path().join("old"), &out);
+        let new = temporary.folder.path();
+        let around = new.parent().unwrap_or(Path::new("."));
+        let is_old = out.symlink_metadata().is_ok();
+        let old = is_old.then(|| self::temporary(around)).transpose().map_err(refuse)?;
+        let place = old.as_ref().map(|old| old.folder.path().join("old"));
+        let named = temporary.unfinished.complete(|| {
+            if let Some(place) = &place {
+                fs::rename(&out, place)?;
             }
-            return Err(refuse(error));
-        }
+            fs::rename(new, &out).inspect_err(|_| {
+                if let Some(place) = &place {
+                    // Better the old one than none.
+                    let _ = fs::rename(place, &out);
+                }
+            })
+        });
+        named.map_err(refuse)?;
         // Nothing is left under the temporary name.
-        let _ = temporary.keep();
+        let _ = temporary.folder.keep();
         Ok(())
     }
 }
@@ -156,7 +166,7 @@ fn added(folder: &Path, place: &Path, page: &str) -> io::Result<Option<PathBuf>>
 }
 
 /// A temporary folder with the permissions that any new folder would get.
-fn temporary(around: &Path) -> io::Result<TempDir> {
+fn temporary(around: &Path) -> io::Result<Temporary> {
     let mut builder = tempfile::Builder::new();
     builder.prefix(".perceptile-");
     #[cfg(unix)]
@@ -165,12 +175,18 @@ fn temporary(around: &Path) -> io::Result<TempDir> {
         // The process's mask applies, as to a folder that it creates itself.
         builder.permissions(fs::Permissions::from_mode(0o777));
     }
-    builder.tempdir_in(around)
+    let (folder, unfinished) = Unfinished::make(|| {
+        let folder = builder.tempdir_in(around)?;
+        let path = folder.path().to_owned();
+        Ok::<_, io::Error>((folder, path))
+    })?;
+    Ok(Temporary { folder, unfinished })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::format::unfinished;
 
     fn page() -> String {
         let generator =
@@ -227,6 +243,20 @@ mod tests {
         fs::write(out.join("late"), "theirs").unwrap();
         assert!(matches!(folder.finish(), Err(ReportError::Added { .. })));
         assert!(out.join("late").exists());
+    }
+
+    #[test]
+    fn a_folder_is_unfinished_until_it_has_its_name() {
+        let room = tempfile::tempdir().unwrap();
+        let out = room.path().join("report");
+        for existing in [Existing::Keep, Existing::Replace] {
+            let folder = Folder::new(&out, existing).unwrap();
+            folder.write(PAGE, page().as_bytes()).unwrap();
+            let temporary = folder.temporary.folder.path().to_owned();
+            assert!(unfinished::is_registered(&temporary));
+            folder.finish().unwrap();
+            assert!(!unfinished::is_registered(&temporary) && !unfinished::is_registered(&out));
+        }
     }
 
     #[test]
