@@ -34,7 +34,7 @@ use sha2::{Digest, Sha256};
 use thiserror::Error;
 
 use super::hashed::{DIGEST, Hashed};
-use super::numbers::{self, BLOCK, Put, Sink};
+use super::numbers::{ArraySink, ArraySource, BLOCK, NumberWriter};
 
 /// The version of the layout that is written and read.
 pub const FORMAT: u32 = 1;
@@ -129,18 +129,18 @@ impl Seal {
 
 /// Writes a checkpoint of a head and arrays with so many numbers each.
 ///
-/// `array` is asked for one array after the other, and hands its numbers over, in pieces, to what
-/// it is called with. When something has failed, it is asked for no more.
+/// `arrays` is asked for one array after the other. When something has failed, it is asked for no
+/// more.
 ///
 /// # Errors
-/// What `out` or `array` reports; a head that cannot be encoded or has more than [`MAX_HEAD`]
+/// What `out` or `arrays` reports; a head that cannot be encoded or has more than [`MAX_HEAD`]
 /// bytes, and more than [`MAX_ARRAYS`] arrays ([`ErrorKind::InvalidInput`], nothing is written);
 /// an array with more numbers than its length says, or fewer ([`ErrorKind::InvalidData`]).
 pub fn write<H: Serialize>(
     out: &mut impl Write,
     head: &H,
     lengths: &[u64],
-    array: &mut dyn FnMut(usize, &mut Put<'_>) -> io::Result<()>,
+    arrays: &dyn ArraySource,
 ) -> io::Result<()> {
     let refused = |why: String| io::Error::new(ErrorKind::InvalidInput, why);
     let head = codec::encode(head)
@@ -158,7 +158,9 @@ pub fn write<H: Serialize>(
     out.write_all(&lengths.encode(&Sha256::digest(&head).into()))?;
     out.write_all(&head)?;
     for (index, length) in lengths.arrays.iter().enumerate() {
-        numbers::write(&mut out, *length, &mut |put| array(index, put))?;
+        let mut writer = NumberWriter::new(&mut out, *length);
+        arrays.array(index, &mut writer)?;
+        writer.finish()?;
     }
     let (out, digest) = out.finish();
     out.write_all(&digest)
@@ -176,7 +178,7 @@ pub fn write<H: Serialize>(
 pub fn read_with<H: DeserializeOwned, E: From<CheckpointError>>(
     input: &mut impl Read,
     len: u64,
-    sink: &mut Sink<'_, E>,
+    sink: &mut ArraySink<'_, E>,
 ) -> Result<(H, Seal), E> {
     let mut input = HashedReader::new(input, len);
     let (head, lengths) = front(&mut input)?;
@@ -193,7 +195,7 @@ pub fn read_with<H: DeserializeOwned, E: From<CheckpointError>>(
 pub fn read_again<E: From<CheckpointError>>(
     input: &mut impl Read,
     seal: &Seal,
-    sink: &mut Sink<'_, E>,
+    sink: &mut ArraySink<'_, E>,
 ) -> Result<(), E> {
     let mut input = HashedReader::new(input, seal.len);
     let (_, lengths) = front(&mut input)?;
@@ -264,7 +266,7 @@ fn decode<H: DeserializeOwned>(head: &[u8]) -> Result<H, CheckpointError> {
 fn contents<E: From<CheckpointError>>(
     input: &mut HashedReader<impl Read>,
     lengths: &[u64],
-    sink: &mut Sink<'_, E>,
+    sink: &mut ArraySink<'_, E>,
 ) -> Result<[u8; DIGEST], E> {
     let mut buffer = vec![0.0_f32; BLOCK];
     for (array, length) in lengths.iter().enumerate() {
@@ -409,6 +411,7 @@ mod tests {
     use serde::Deserialize;
 
     use super::*;
+    use crate::format::numbers::NumberSink;
 
     #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
     struct Head {
@@ -424,7 +427,8 @@ mod tests {
     fn bytes(head: &Head, arrays: &[&[f32]]) -> Vec<u8> {
         let mut bytes = Vec::new();
         let lengths: Vec<u64> = arrays.iter().map(|array| array.len() as u64).collect();
-        write(&mut bytes, head, &lengths, &mut |array, put| put(arrays[array])).unwrap();
+        let put = |array: usize, sink: &mut dyn NumberSink| sink.put(arrays[array]);
+        write(&mut bytes, head, &lengths, &put).unwrap();
         bytes
     }
 
@@ -517,11 +521,12 @@ mod tests {
 
             let give = |lengths: &[u64]| {
                 let mut bytes = Vec::new();
-                let result = write(&mut bytes, &head(), lengths, &mut |array, put| {
+                let put = |array: usize, sink: &mut dyn NumberSink| {
                     let array: Vec<f32> =
                         arrays[array].iter().map(|bits| f32::from_bits(*bits)).collect();
-                    array.chunks(size).try_for_each(put)
-                });
+                    array.chunks(size).try_for_each(|piece| sink.put(piece))
+                };
+                let result = write(&mut bytes, &head(), lengths, &put);
                 result.map(|()| bytes).map_err(|error| error.kind())
             };
             prop_assert_eq!(give(&lengths), Ok(expected));
@@ -741,7 +746,8 @@ mod tests {
         // Each takes one byte in the file and eight in memory, more than the longest head.
         let long = vec![1_u64; MAX_HEAD / 4];
         let mut file = Vec::new();
-        write(&mut file, &long, &[], &mut |_, _| Ok(())).unwrap();
+        let none = &|_: usize, _: &mut dyn NumberSink| Ok(());
+        write(&mut file, &long, &[], none).unwrap();
         let (again, _): (Vec<u64>, _) = read(&mut &*file, file.len() as u64).unwrap();
         assert!(again == long);
     }
@@ -749,7 +755,8 @@ mod tests {
     #[test]
     fn what_no_reader_would_take_is_not_written() {
         let mut out = Vec::new();
-        let none = &mut |_, _: &mut Put<'_>| panic!("nothing is asked");
+        let none =
+            &|_: usize, _: &mut dyn NumberSink| -> io::Result<()> { panic!("nothing is asked") };
         let many = write(&mut out, &head(), &[0; MAX_ARRAYS + 1], none).unwrap_err();
         assert!(many.to_string().contains("17 arrays"));
         let long = write(&mut out, &"x".repeat(MAX_HEAD), &[0], none).unwrap_err();
@@ -775,12 +782,13 @@ mod tests {
         }
         for room in [0, PREFIX, FIXED, FIXED + 10, good.len() - 1] {
             let mut out = vec![0; room];
-            let zeros = &mut |_, put: &mut Put<'_>| put(&[0.0; 2 * BLOCK]);
+            let zeros = &|_: usize, sink: &mut dyn NumberSink| sink.put(&[0.0; 2 * BLOCK]);
             assert!(write(&mut out.as_mut_slice(), &head(), &[2 * BLOCK as u64], zeros).is_err());
         }
         if cfg!(target_os = "linux") {
             let mut full = std::fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
-            let error = write(&mut full, &head(), &[1], &mut |_, put| put(&[0.0])).unwrap_err();
+            let zero = &|_: usize, sink: &mut dyn NumberSink| sink.put(&[0.0]);
+            let error = write(&mut full, &head(), &[1], zero).unwrap_err();
             assert_eq!(error.kind(), ErrorKind::StorageFull);
         }
     }

@@ -4,7 +4,7 @@ use std::io::{self, Read, Write};
 
 use thiserror::Error;
 
-use super::numbers::{self, Put};
+use super::numbers::{ArraySource, NumberSink, NumberWriter};
 use crate::array::{self, ArrayError, ArrayHeader, ElementKind};
 use crate::tile::{ShapeError, Tile, TileShape, clamp_coordinate};
 
@@ -51,6 +51,12 @@ pub enum NpyError {
     },
 }
 
+impl ArraySource for Tile {
+    fn array(&self, _: usize, sink: &mut dyn NumberSink) -> io::Result<()> {
+        sink.put(self.samples())
+    }
+}
+
 /// Writes a tile as little-endian `f32` of shape `(frames, height, width, spp, dims)`, C order.
 ///
 /// The bytes depend on the tile alone.
@@ -58,29 +64,29 @@ pub enum NpyError {
 /// # Errors
 /// What `out` reports.
 pub fn write_tile(tile: &Tile, out: &mut (impl Write + ?Sized)) -> io::Result<()> {
-    write_rows(tile.shape(), out, &mut |put| put(tile.samples()))
+    write_pieces(tile.shape(), out, tile)
 }
 
-/// Writes a tile, with the same bytes as [`write_tile`], whose coordinates come in pieces: `rows`
-/// hands them over, in C order, to what it is called with.
+/// Writes a tile, with the same bytes as [`write_tile`], whose coordinates come in pieces: they are
+/// array 0 of `tile`, in C order.
 ///
 /// # Errors
-/// What `out` or `rows` reports, and [`io::ErrorKind::InvalidData`] if there are more coordinates
+/// What `out` or `tile` reports, and [`io::ErrorKind::InvalidData`] if there are more coordinates
 /// than the shape has, or fewer, or a number that is none.
-pub fn write_rows(
+pub fn write_pieces(
     shape: TileShape,
     out: &mut (impl Write + ?Sized),
-    rows: &mut dyn FnMut(&mut Put<'_>) -> io::Result<()>,
+    tile: &dyn ArraySource,
 ) -> io::Result<()> {
     let axes = [shape.frames(), shape.height(), shape.width(), shape.spp(), shape.dims()];
     array::write_header(&axes, out)?;
     let mut stray = None;
-    numbers::write(out, shape.coordinates() as u64, &mut |put| {
-        rows(&mut |piece| {
-            stray = stray.or_else(|| piece.iter().copied().find(|x| !(0.0..1.0).contains(x)));
-            put(piece)
-        })
+    let mut writer = NumberWriter::new(out, shape.coordinates() as u64);
+    tile.array(0, &mut |piece: &[f32]| {
+        stray = stray.or_else(|| piece.iter().copied().find(|x| !(0.0..1.0).contains(x)));
+        writer.put(piece)
     })?;
+    writer.finish()?;
     match stray {
         Some(x) => {
             let message = format!("a coordinate is {x}, but every one must be in [0, 1)");
@@ -227,9 +233,10 @@ mod tests {
         let samples: Vec<f32> = (0..count).map(|i| i as f32 / count as f32).collect();
         let give = |samples: &[f32], size: usize| {
             let mut bytes = Vec::new();
-            let result = write_rows(shape, &mut bytes, &mut |put| {
-                samples.chunks(size).try_for_each(&mut *put)
-            });
+            let pieces = |_: usize, sink: &mut dyn NumberSink| {
+                samples.chunks(size).try_for_each(|piece| sink.put(piece))
+            };
+            let result = write_pieces(shape, &mut bytes, &pieces);
             result.map(|()| bytes).map_err(|error| (error.kind(), error.to_string()))
         };
         let data: Vec<u8> = samples.iter().flat_map(|x| x.to_le_bytes()).collect();

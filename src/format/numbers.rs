@@ -3,33 +3,50 @@
 
 use std::io::{self, ErrorKind, Write};
 
-/// Takes an array piece by piece, in order, and fails if it can take no more.
-pub type Put<'a> = dyn FnMut(&[f32]) -> io::Result<()> + 'a;
+/// Takes the numbers of an array: a file that is written, or whoever gathers them.
+pub trait NumberSink {
+    /// Takes the next piece.
+    ///
+    /// # Errors
+    /// If it can take no more.
+    fn put(&mut self, piece: &[f32]) -> io::Result<()>;
+}
+
+/// Has arrays of numbers, and hands them over one at a time.
+pub trait ArraySource {
+    /// Puts an array into a sink, in order and piece by piece.
+    ///
+    /// # Errors
+    /// What the sink reports, and numbers that cannot be had.
+    ///
+    /// # Panics
+    /// If there is no array of that index.
+    fn array(&self, index: usize, sink: &mut dyn NumberSink) -> io::Result<()>;
+}
+
 /// Takes the pieces of several arrays, each with the number of its array.
-pub type Sink<'a, E> = dyn FnMut(usize, &[f32]) -> Result<(), E> + 'a;
+pub type ArraySink<'a, E> = dyn FnMut(usize, &[f32]) -> Result<(), E> + 'a;
+
+impl<F: FnMut(&[f32]) -> io::Result<()>> NumberSink for F {
+    fn put(&mut self, piece: &[f32]) -> io::Result<()> {
+        self(piece)
+    }
+}
+
+impl<F: Fn(usize, &mut dyn NumberSink) -> io::Result<()>> ArraySource for F {
+    fn array(&self, index: usize, sink: &mut dyn NumberSink) -> io::Result<()> {
+        self(index, sink)
+    }
+}
 
 /// Numbers that are converted and passed on at a time: they stay in the caches.
 pub(super) const BLOCK: usize = 1 << 14;
 
-/// Writes `count` numbers as little-endian `f32`. `pieces` hands them over, in order, to what it
-/// is called with.
+/// Writes so many numbers as little-endian `f32`, and refuses more and fewer.
 ///
-/// # Errors
-/// What `out` or `pieces` reports, and [`ErrorKind::InvalidData`] if there are more numbers or
-/// fewer. After an error of `out` every other piece is refused, and the whole fails even if
-/// `pieces` does not pass the error on.
-pub(super) fn write(
-    out: &mut (impl Write + ?Sized),
-    count: u64,
-    pieces: &mut dyn FnMut(&mut Put<'_>) -> io::Result<()>,
-) -> io::Result<()> {
-    let mut numbers = Numbers { out, buffer: Vec::new(), count, left: count, failed: None };
-    pieces(&mut |piece| numbers.put(piece))?;
-    numbers.finish()
-}
-
-/// Numbers on their way.
-struct Numbers<'a, W: ?Sized> {
+/// After an error every other piece is refused, and [`Self::finish`] fails, even if whoever put the
+/// piece did not pass the error on.
+pub(super) struct NumberWriter<'a, W: ?Sized> {
     out: &'a mut W,
     /// Those that do not fill a block yet.
     buffer: Vec<u32>,
@@ -41,7 +58,7 @@ struct Numbers<'a, W: ?Sized> {
     failed: Option<ErrorKind>,
 }
 
-impl<W: Write + ?Sized> Numbers<'_, W> {
+impl<W: Write + ?Sized> NumberSink for NumberWriter<'_, W> {
     fn put(&mut self, piece: &[f32]) -> io::Result<()> {
         if let Some(kind) = self.failed {
             return Err(kind.into());
@@ -49,6 +66,13 @@ impl<W: Write + ?Sized> Numbers<'_, W> {
         let result = self.pass_on(piece);
         self.failed = result.as_ref().err().map(io::Error::kind);
         result
+    }
+}
+
+impl<'a, W: Write + ?Sized> NumberWriter<'a, W> {
+    /// Writes `count` numbers to `out`.
+    pub fn new(out: &'a mut W, count: u64) -> Self {
+        Self { out, buffer: Vec::new(), count, left: count, failed: None }
     }
 
     fn pass_on(&mut self, mut piece: &[f32]) -> io::Result<()> {
@@ -74,7 +98,12 @@ impl<W: Write + ?Sized> Numbers<'_, W> {
         Ok(())
     }
 
-    fn finish(mut self) -> io::Result<()> {
+    /// Writes what is left.
+    ///
+    /// # Errors
+    /// What the output reports, also of pieces before; [`ErrorKind::InvalidData`] if there were more
+    /// numbers or fewer.
+    pub fn finish(mut self) -> io::Result<()> {
         if let Some(kind) = self.failed {
             return Err(kind.into());
         }
@@ -108,9 +137,9 @@ mod tests {
             cuts.sort_unstable();
             let give = |count: usize| {
                 let mut bytes = Vec::new();
-                let given = write(&mut bytes, count as u64, &mut |put| {
-                    cuts.windows(2).try_for_each(|cut| put(&numbers[cut[0]..cut[1]]))
-                });
+                let mut writer = NumberWriter::new(&mut bytes, count as u64);
+                let put = cuts.windows(2).try_for_each(|cut| writer.put(&numbers[cut[0]..cut[1]]));
+                let given = put.and(writer.finish());
                 (given.map_err(|error| error.kind()), bytes)
             };
             prop_assert_eq!(give(bits.len()), (Ok(()), whole));
@@ -125,21 +154,14 @@ mod tests {
     fn an_error_that_is_not_passed_on_is_an_error_all_the_same() {
         // Room for one block, and then for no more.
         let mut room = vec![0; 4 * BLOCK];
-        let mut refused = 0;
-        let result = write(&mut room.as_mut_slice(), 3 * BLOCK as u64, &mut |put| {
-            refused += (0..3).filter(|_| put(&[0.5; BLOCK]).is_err()).count();
-            Ok(())
-        });
-        assert_eq!((result.unwrap_err().kind(), refused), (ErrorKind::WriteZero, 2));
+        let mut room = room.as_mut_slice();
+        let mut writer = NumberWriter::new(&mut room, 3 * BLOCK as u64);
+        let refused = (0..3).filter(|_| writer.put(&[0.5; BLOCK]).is_err()).count();
+        assert_eq!((writer.finish().unwrap_err().kind(), refused), (ErrorKind::WriteZero, 2));
         // One piece too many, and then the right number.
-        let result = write(&mut Vec::new(), 2, &mut |put| {
-            let _ = put(&[0.5; 3]);
-            let _ = put(&[0.5; 2]);
-            Ok(())
-        });
-        assert_eq!(result.unwrap_err().kind(), ErrorKind::InvalidData);
-        // Whoever hands numbers over has the last word.
-        let result = write(&mut Vec::new(), 0, &mut |_| Err(io::Error::other("they are gone")));
-        assert_eq!(result.unwrap_err().to_string(), "they are gone");
+        let mut bytes = Vec::new();
+        let mut writer = NumberWriter::new(&mut bytes, 2);
+        assert!(writer.put(&[0.5; 3]).is_err() && writer.put(&[0.5; 2]).is_err());
+        assert_eq!(writer.finish().unwrap_err().kind(), ErrorKind::InvalidData);
     }
 }

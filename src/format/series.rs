@@ -33,7 +33,7 @@ pub enum SeriesError {
         /// One that differs in leading zeros only.
         other: String,
     },
-    /// More than one number tells the slices apart, and nothing says which is which.
+    /// More than one number differs between slices, and nothing says which is which.
     #[error(
         "{first:?} and {other:?} differ in more than one number, which only names like \
          `tile_f000_s00_d00.png` (frame, sample, dimension) may"

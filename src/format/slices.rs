@@ -54,7 +54,7 @@ pub fn slice_paths(
 /// Dimensions are channels: one is gray, two are red and green (blue is 0), three are RGB, four
 /// RGBA. A large tile's strip must stay below 2³¹ pixels of height.
 ///
-/// Slices and another tile's slices in one folder could not be told apart. Beside slices no other
+/// Slices and another tile's slices in one folder could not be kept apart. Beside slices no other
 /// PNG file may stand, and beside strips no slice and no strip of the same stem. With
 /// [`Existing::Replace`], those that earlier exports wrote are removed.
 ///
