@@ -20,7 +20,7 @@ use perceptile::solver::{Descent, Samples};
 
 use common::dense::{Dense, DenseDraw};
 use common::{
-    ADAM, PAPER_DRAWS, PAPER_SIZE, Pulls, Shortest, assert_near, gradient, paper_options,
+    ADAM, Gradients, PAPER_DRAWS, PAPER_SIZE, Shortest, assert_near, gradient, paper_options,
     paper_taps, shape,
 };
 
@@ -32,7 +32,7 @@ const DENSE_DRAWS: usize = 16;
 #[derive(Default)]
 struct Times {
     dense: Shortest,
-    pull: Shortest,
+    gradients: Shortest,
     step: Shortest,
 }
 
@@ -49,25 +49,25 @@ fn measure(criterion: &mut Criterion, times: &Times) {
     let levels = LevelSets::new([(1.0, &taps)]);
     let draws = DenseDraw::independent(shape, &levels, DENSE_DRAWS);
     let mut dense = Dense::new(&tile, &taps, Simd::detect());
-    dense.pull(&draws);
+    dense.gradients(&draws);
     let plain: Vec<ReferenceDraw> = draws.iter().map(|draw| draw.reference(&levels)).collect();
-    assert_near(&dense.gradient(), &reference::pulls(&tile, &levels, &plain));
+    assert_near(&dense.gradient(), &reference::gradient(&tile, &levels, &plain));
     group.throughput(Throughput::Elements(DENSE_DRAWS as u64));
     group.bench_function("dense", |bencher| {
-        bencher.iter_custom(|n| times.dense.measure(n, || dense.pull(&draws)));
+        bencher.iter_custom(|n| times.dense.measure(n, || dense.gradients(&draws)));
     });
 
     let gradient = gradient(shape, &taps, paper_options(PAPER_DRAWS));
-    let mut pulls = Pulls::new(gradient.clone(), &tile);
-    pulls.check_some(&tile, &taps, 16);
-    pulls.check_sum(&tile);
+    let mut gradients = Gradients::new(gradient.clone(), &tile);
+    gradients.check_some(&tile, &taps, 16);
+    gradients.check_sum(&tile);
     group.throughput(Throughput::Elements(PAPER_DRAWS as u64));
     let mut step = 0;
-    group.bench_function("fast, pull", |bencher| {
+    group.bench_function("fast, gradients", |bencher| {
         bencher.iter_custom(|n| {
-            times.pull.measure(n, || {
+            times.gradients.measure(n, || {
                 step += 1;
-                pulls.run(step);
+                gradients.run(step);
             })
         });
     });
@@ -94,18 +94,21 @@ fn measure(criterion: &mut Criterion, times: &Times) {
 fn report(times: &Times) {
     let found = (
         times.dense.nanoseconds(DENSE_DRAWS),
-        times.pull.nanoseconds(PAPER_DRAWS),
+        times.gradients.nanoseconds(PAPER_DRAWS),
         times.step.nanoseconds(PAPER_DRAWS),
     );
     let tried = std::env::args().any(|argument| argument == "--test");
-    if let ((Some(dense), Some(pull), Some(step)), false) = (found, tried) {
+    if let ((Some(dense), Some(gradients), Some(step)), false) = (found, tried) {
         println!(
             "dense baseline: {:.2} ms per draw, one thread, {}",
             dense * 1e-6,
             Simd::detect().name()
         );
         println!("fast path: {:.0} times the dense baseline ({step:.0} ns per draw)", dense / step);
-        println!("  its pull alone: {:.0} times ({pull:.0} ns per draw)", dense / pull);
+        println!(
+            "  its gradients alone: {:.0} times ({gradients:.0} ns per draw)",
+            dense / gradients
+        );
     }
 }
 

@@ -13,7 +13,7 @@ use perceptile::metric::Baseline;
 use perceptile::tile::Layout;
 
 use common::subsets::{self, DIMS, SUBSETS};
-use common::{PAPER_DRAWS, PAPER_SIZE, Pulls, gradient, paper_options, paper_taps, shape};
+use common::{Gradients, PAPER_DRAWS, PAPER_SIZE, gradient, paper_options, paper_taps, shape};
 
 /// Draws by size and dimensions; a throughput of 1 Gelem/s is a nanosecond for each sample of a
 /// subset, whatever its dimensions.
@@ -24,12 +24,13 @@ fn sizes(criterion: &mut Criterion) {
         for (taps, spp) in SUBSETS {
             let samples = taps * spp;
             group.throughput(Throughput::Elements((subsets::DRAWS * samples) as u64));
-            let (mut pulls, mut step) = (None, 0);
+            let (mut gradients, mut step) = (None, 0);
             group.bench_function(format!("{samples} samples, {dims} dims"), |bencher| {
-                let pulls = pulls.get_or_insert_with(|| subsets::pulls((taps, spp), dims));
+                let gradients =
+                    gradients.get_or_insert_with(|| subsets::gradients((taps, spp), dims));
                 bencher.iter(|| {
                     step += 1;
-                    pulls.run(black_box(step))
+                    gradients.run(black_box(step))
                 });
             });
         }
@@ -45,18 +46,18 @@ fn layouts(criterion: &mut Criterion) {
         let taps = paper_taps(shape);
         let tile = Baseline::White.tile(shape, 3);
         let rows = gradient(shape, &taps, paper_options(PAPER_DRAWS));
-        let mut expected = Pulls::new(rows.clone(), &tile);
+        let mut expected = Gradients::new(rows.clone(), &tile);
         expected.check_some(&tile, &taps, 16);
         expected.run(1);
         for layout in Layout::ALL {
-            let mut pulls = Pulls::new(rows.clone().with_layout(layout), &tile);
-            pulls.run(1);
-            assert!(pulls.patches() == expected.patches(), "{layout} differs from rows");
+            let mut gradients = Gradients::new(rows.clone().with_layout(layout), &tile);
+            gradients.run(1);
+            assert!(gradients.patches() == expected.patches(), "{layout} differs from rows");
             let mut step = 0;
             group.bench_function(format!("{layout}, {spp} spp, 64x64x16"), |bencher| {
                 bencher.iter(|| {
                     step += 1;
-                    pulls.run(black_box(step))
+                    gradients.run(black_box(step))
                 });
             });
         }
@@ -68,16 +69,16 @@ fn paper(criterion: &mut Criterion) {
     let shape = shape(PAPER_SIZE, 1, 2);
     let taps = paper_taps(shape);
     let tile = Baseline::White.tile(shape, 1);
-    let mut pulls = Pulls::new(gradient(shape, &taps, paper_options(PAPER_DRAWS)), &tile);
-    pulls.check_some(&tile, &taps, 16);
-    pulls.check_sum(&tile);
+    let mut gradients = Gradients::new(gradient(shape, &taps, paper_options(PAPER_DRAWS)), &tile);
+    gradients.check_some(&tile, &taps, 16);
+    gradients.check_sum(&tile);
     let mut group = criterion.benchmark_group("paper");
     group.throughput(Throughput::Elements(PAPER_DRAWS as u64));
     let mut step = 0;
     group.bench_function(format!("{PAPER_DRAWS} draws, 128x128x30"), |bencher| {
         bencher.iter(|| {
             step += 1;
-            pulls.run(black_box(step))
+            gradients.run(black_box(step))
         });
     });
 }

@@ -10,10 +10,10 @@ use criterion::{Criterion, criterion_group, criterion_main};
 use perceptile::gradient::probe::Unprobed;
 use perceptile::gradient::simd::Simd;
 use perceptile::metric::Baseline;
-use perceptile::solver::{Descent, Samples, StoragePlan, Team};
+use perceptile::solver::{Descent, Parallelism, Samples, StoragePlan};
 use perceptile::tile::Regions;
-use perceptile_cluster::shared::{Arena, Board, BoardPlan, Header, Map};
-use perceptile_cluster::{Ends, World};
+use perceptile_cluster::shared::{Arena, Board, BoardPlan, Map, MapHeader};
+use perceptile_cluster::{Ends, Worker};
 
 use common::{ADAM, PAPER_DRAWS, PAPER_SIZE, gradient, paper_options, paper_taps, shape};
 
@@ -24,18 +24,18 @@ const JOBS: [usize; 2] = [8, 128];
 fn rounds(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("step without work");
     for ranks in [1, 2] {
-        let plan = BoardPlan { ranks, threads: 1, jobs: 128, journal: 1024 };
+        let plan = BoardPlan { workers: ranks, threads: 1, jobs: 128, journal: 1024 };
         let file = tempfile::tempfile().expect("a file");
-        let header = Header { len: plan.room() as u64, run: 1 };
-        Map::create(&file, header).expect("shared memory");
-        let world = |rank| {
+        let header = MapHeader { len: plan.room() as u64, run: 1 };
+        Map::create(&file, &std::env::temp_dir(), header).expect("shared memory");
+        let worker = |rank| {
             let map = Map::open(&file, header).expect("shared memory");
-            World::new(Board::new(&mut Arena::new(map), plan), rank, None)
+            Worker::new(Board::new(&mut Arena::new(map), plan), rank, None)
         };
         let done = AtomicU64::new(0);
-        let step = |world: &World, step: u64| {
+        let step = |worker: &Worker, step: u64| {
             for (half, jobs) in JOBS.into_iter().enumerate() {
-                world.round(2 * step + half as u64 + 1, Ends::Step, 0..jobs, (), |_, ()| {
+                worker.round(2 * step + half as u64 + 1, Ends::Step, 0..jobs, (), |_, ()| {
                     done.fetch_add(1, Ordering::Relaxed);
                 });
             }
@@ -43,18 +43,18 @@ fn rounds(criterion: &mut Criterion) {
         let over = AtomicBool::new(false);
         std::thread::scope(|scope| {
             for rank in 1..ranks {
-                let (step, world, over) = (&step, world(rank), &over);
+                let (step, worker, over) = (&step, worker(rank), &over);
                 scope.spawn(move || {
                     // It follows the first rank, and sleeps where that one does.
                     for number in 0.. {
                         if over.load(Ordering::Relaxed) {
                             break;
                         }
-                        step(&world, number);
+                        step(&worker, number);
                     }
                 });
             }
-            let first = world(0);
+            let first = worker(0);
             let mut number = 0;
             group.bench_function(format!("{ranks} ranks"), |bencher| {
                 bencher.iter(|| {
@@ -78,13 +78,15 @@ fn journal(criterion: &mut Criterion) {
     let one = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a thread");
     let regions = Regions::whole(shape);
     let mut descents = [false, true].map(|can_fail| {
-        let team = Team { ranks: 1, threads: 1, regions: 1, can_fail };
-        let (world, mut storage) =
-            StoragePlan::new(gradient.partition(), regions.own(), team).private().expect("memory");
+        let parallelism = Parallelism { ranks: 1, workers: can_fail.into(), threads: 1 };
+        let (worker, mut storage) =
+            StoragePlan::new(gradient.partition(), regions.own(), parallelism)
+                .private()
+                .expect("memory");
         storage.tile_mut(shape).copy_from_slice(&start.words);
         let how = (Simd::detect(), 0);
         one.install(|| {
-            Descent::enter(world, storage, (gradient.clone(), &regions), ADAM, 10_000, how, || {
+            Descent::enter(worker, storage, (gradient.clone(), &regions), ADAM, 10_000, how, || {
                 Unprobed
             })
         })

@@ -40,7 +40,7 @@ impl Probe for Halves {
     }
 }
 
-/// Steps of 4096 draws, and their halves: the pull, and the update that adds up the patches and
+/// Steps of 4096 draws, and their halves: the gradients, and the update that adds up the patches and
 /// moves the samples by Adam.
 fn steps(criterion: &mut Criterion) {
     for (size, label) in [([64, 64, 16], "64x64x16"), (PAPER_SIZE, "128x128x30")] {
@@ -59,7 +59,7 @@ fn steps(criterion: &mut Criterion) {
                 Descent::probed(gradient, ADAM, 10_000, simd, &start, probe).expect("memory")
             });
             let mut step = 0;
-            // The whole step, its pull, and its update.
+            // The whole step, its gradients, and its update.
             let mut times = || {
                 halves.met.store(0, Ordering::Relaxed);
                 let begun = halves.begun.elapsed();
@@ -72,7 +72,7 @@ fn steps(criterion: &mut Criterion) {
             let first = times().0;
             let later = (1..100).map(|_| times().0).last().unwrap_or(first);
             assert!(later < 0.9 * first, "{first} -> {later}");
-            for (part, name) in ["whole", "pull", "update"].into_iter().enumerate() {
+            for (part, name) in ["whole", "gradients", "update"].into_iter().enumerate() {
                 // An update is the same for any number of draws.
                 let (draws, words) = (PAPER_DRAWS as u64, shape.coordinates() as u64);
                 group.throughput(Throughput::Elements(if part == 2 { words } else { draws }));
@@ -87,13 +87,13 @@ fn steps(criterion: &mut Criterion) {
 /// Adam on a cell's worth of coordinates.
 fn adam(criterion: &mut Criterion) {
     const N: usize = 1 << 14;
-    let pulls: Vec<i32> = (0..N as i32).map(|i| i % 201 - 100).collect();
+    let gradients: Vec<i32> = (0..N as i32).map(|i| i % 201 - 100).collect();
     let (mut x, mut m, mut v) = (vec![0.5_f32; N], vec![0.0_f32; N], vec![0.0_f32; N]);
     let simd = Simd::detect();
     let mut update = |step: u32| {
         simd.run(Update {
             factors: ADAM.factors(step, 10_000, 0.01),
-            pulls: black_box(&pulls),
+            gradients: black_box(&gradients),
             samples: &mut x,
             first: &mut m,
             second: &mut v,
@@ -102,8 +102,8 @@ fn adam(criterion: &mut Criterion) {
     };
     // The first step goes by the rate, whatever the gradient's size.
     let moved = update(0);
-    for (x, pull) in moved.into_iter().zip([pulls[0], pulls[N - 1]]) {
-        let expected = 0.5 + 0.01 * pull.signum() as f32;
+    for (x, gradient) in moved.into_iter().zip([gradients[0], gradients[N - 1]]) {
+        let expected = 0.5 + 0.01 * gradient.signum() as f32;
         assert!((x - expected).abs() < 1e-5, "{x} {expected}");
     }
     let mut group = criterion.benchmark_group("Adam");

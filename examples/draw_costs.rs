@@ -5,7 +5,7 @@
 //! cargo run --release --example draw_costs
 //! ```
 //!
-//! One thread makes, gathers, projects, ranks, pulls and scatters all draws of a step; the
+//! One thread makes, gathers, projects, ranks, gradients and scatters all draws of a step; the
 //! figures are the shortest of several such steps, in nanoseconds.
 
 #[path = "../benches/common/mod.rs"]
@@ -20,8 +20,8 @@ use perceptile::profile::machine::Machine;
 
 use common::subsets::{self, DIMS, SUBSETS};
 use common::{
-    PAPER_DRAWS, PAPER_KERNEL, PAPER_SIZE, Pulls, Shortest, gradient, paper_options, paper_taps,
-    shape,
+    Gradients, PAPER_DRAWS, PAPER_KERNEL, PAPER_SIZE, Shortest, gradient, paper_options,
+    paper_taps, shape,
 };
 
 /// Fewest repetitions, and the time that they should take together.
@@ -29,13 +29,13 @@ const LEAST: u32 = 5;
 const ENOUGH: Duration = Duration::from_millis(150);
 
 /// The shortest of several steps, in nanoseconds for each of `parts`.
-fn cost(pulls: &mut Pulls, parts: usize) -> f64 {
+fn cost(gradients: &mut Gradients, parts: usize) -> f64 {
     let shortest = Shortest::default();
     let (mut spent, mut step) = (Duration::ZERO, 0);
     while spent < ENOUGH || step < LEAST {
         step += 1;
         spent += shortest.measure(1, || {
-            black_box(pulls.run(black_box(step)));
+            black_box(gradients.run(black_box(step)));
         });
     }
     shortest.nanoseconds(parts).expect("a measurement")
@@ -51,7 +51,7 @@ fn main() {
         print!("| {samples} | {taps} × {spp} |");
         for dims in DIMS {
             let nanoseconds =
-                cost(&mut subsets::pulls((taps, spp), dims), subsets::DRAWS * samples);
+                cost(&mut subsets::gradients((taps, spp), dims), subsets::DRAWS * samples);
             print!(" {nanoseconds:.1} |");
         }
         println!();
@@ -60,10 +60,10 @@ fn main() {
     let shape = shape(PAPER_SIZE, 1, 2);
     let taps = paper_taps(shape);
     let tile = Baseline::White.tile(shape, 1);
-    let mut pulls = Pulls::new(gradient(shape, &taps, paper_options(PAPER_DRAWS)), &tile);
-    pulls.check_some(&tile, &taps, 16);
-    pulls.check_sum(&tile);
-    let nanoseconds = cost(&mut pulls, PAPER_DRAWS);
+    let mut gradients = Gradients::new(gradient(shape, &taps, paper_options(PAPER_DRAWS)), &tile);
+    gradients.check_some(&tile, &taps, 16);
+    gradients.check_sum(&tile);
+    let nanoseconds = cost(&mut gradients, PAPER_DRAWS);
     println!(
         "\n{PAPER_KERNEL} on {shape}: {nanoseconds:.0} ns per draw of {:.0} samples on average",
         taps.mean_subset()

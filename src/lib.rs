@@ -8,8 +8,8 @@
 //!
 //! ```text
 //!  kernel ──► draw ──► gradient ──► solver ──► run ──► format      tile.npy, .json, .png
-//!  spec→taps  cells'    project,     patches    phases, files
-//!             draws     rank, pull   → Adam     observer
+//!  spec→taps  cells'    project,     patches    driver, files
+//!             draws     rank, move   → Adam     backends
 //!                 ╲        ╱           ├─► profile    └─► metric  scores, spectra
 //!             tile: shape, cells, blocks,  stages,         └─► report  a page with an animation
 //!             rows (all index arithmetic)  caches, roofline
@@ -20,13 +20,14 @@
 //! integer patch; in the second, patches add up line by line, and Adam moves the samples of the
 //! line. Both are rounds of jobs, which threads of this process or worker processes take from one
 //! board ([`perceptile_cluster`]). On a cluster each rank does so with a region of the tile
-//! ([`tile::Regions`]), and what regions see of each other travels between them. Why it is fast is told where it is done: rows in [`tile::Rows`], the stages of a draw in
-//! [`gradient`], sorting and transpositions in [`gradient::simd`], pages of memory in the solver;
-//! [`profile`] shows what comes of it.
+//! ([`tile::Regions`]), and ranks send each other what their regions see of others. Why it is fast
+//! stands where it is done: rows in [`tile::Rows`], the stages of a draw in [`gradient`], sorting
+//! and transpositions in [`gradient::simd`], pages of memory in the solver; [`profile`] shows what
+//! comes of it.
 //!
 //! ```
 //! use perceptile::gradient::simd::Simd;
-//! use perceptile::run::{observer::Unobserved, phases::optimize};
+//! use perceptile::run::{driver::optimize, observer::Unobserved};
 //! use perceptile::solver::Preset;
 //! use perceptile::tile::TileShape;
 //!

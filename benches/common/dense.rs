@@ -108,10 +108,10 @@ impl Dense {
     }
 
     /// The gradient of a step.
-    pub fn pull(&mut self, draws: &[DenseDraw]) {
+    pub fn gradients(&mut self, draws: &[DenseDraw]) {
         self.gradient.fill(0.0);
         for draw in draws {
-            self.simd.run(Pull { dense: self, draw });
+            self.simd.run(DrawGradient { dense: self, draw });
         }
     }
 
@@ -152,7 +152,7 @@ impl Dense {
         }
     }
 
-    /// Adds the pulls of a draw to the gradient.
+    /// Adds the gradients of a draw to the gradient.
     #[inline(always)]
     fn add<I: Isa>(&mut self, isa: I, draw: &DenseDraw) {
         self.project(draw);
@@ -165,18 +165,18 @@ impl Dense {
             along[i as usize] = *target - projection;
         }
         for (plane, theta) in gradient.chunks_exact_mut(shape.samples()).zip(draw.direction.theta) {
-            plane.iter_mut().zip(&*along).for_each(|(sum, &pull)| *sum += theta * pull);
+            plane.iter_mut().zip(&*along).for_each(|(sum, &along)| *sum += theta * along);
         }
     }
 }
 
 /// One draw.
-struct Pull<'a> {
+struct DrawGradient<'a> {
     dense: &'a mut Dense,
     draw: &'a DenseDraw,
 }
 
-impl Vectorized for Pull<'_> {
+impl Vectorized for DrawGradient<'_> {
     type Output = ();
 
     #[inline(always)]

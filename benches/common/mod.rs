@@ -1,5 +1,5 @@
-//! What benches and examples share: kernels, tiles with draws that are ready to be pulled, and
-//! the checks of their pulls against the plain gradient.
+//! What benches and examples share: kernels, tiles with draws that are ready to be moved, and
+//! the checks of their gradients against the plain gradient.
 
 #![allow(dead_code, reason = "every bench uses a part of it")]
 
@@ -56,7 +56,7 @@ pub fn gradient(shape: TileShape, taps: &KernelTaps, options: DrawOptions) -> Gr
 }
 
 /// One thread's work in the first half of a step: all draws, from samples that stay.
-pub struct Pulls {
+pub struct Gradients {
     gradient: Gradient,
     blocks: Vec<Block>,
     samples: Vec<f32>,
@@ -64,7 +64,7 @@ pub struct Pulls {
     workspace: Workspace,
 }
 
-impl Pulls {
+impl Gradients {
     /// Lays out the samples of `tile`, in as many blocks as one thread has in a run.
     pub fn new(gradient: Gradient, tile: &Tile) -> Self {
         let (shape, rows) = (tile.shape(), gradient.rows());
@@ -107,9 +107,11 @@ impl Pulls {
             for &(block, line) in overlap.line(y) {
                 let from = line + t * overlap.stride(block);
                 for segment in overlap.segments(block) {
-                    let pulls = &self.patches[block][from + segment.from..][..segment.len];
+                    let gradients = &self.patches[block][from + segment.from..][..segment.len];
                     let sums = &mut sums[row + segment.to..][..segment.len];
-                    sums.iter_mut().zip(pulls).for_each(|(sum, &x)| *sum += f64::from(x) * unit);
+                    sums.iter_mut()
+                        .zip(gradients)
+                        .for_each(|(sum, &x)| *sum += f64::from(x) * unit);
                 }
             }
         }
@@ -130,17 +132,17 @@ impl Pulls {
         let levels = few.gradient.draws().levels();
         let (mut expected, mut objective) = (vec![0.0; tile.samples().len()], 0.0);
         for draw in reference_draws(&few.gradient, 0) {
-            let pulls = reference::pulls(tile, levels, std::slice::from_ref(&draw));
-            // Along one direction of length 1, pulls are as long as the differences to targets.
-            let squares: f64 = pulls.iter().map(|pull| pull * pull).sum();
+            let gradients = reference::gradient(tile, levels, std::slice::from_ref(&draw));
+            // Along one direction of length 1, gradients are as long as the differences to targets.
+            let squares: f64 = gradients.iter().map(|x| x * x).sum();
             objective += squares / (draw.taps * tile.shape().spp()) as f64;
-            expected.iter_mut().zip(pulls).for_each(|(sum, pull)| *sum += pull);
+            expected.iter_mut().zip(gradients).for_each(|(sum, x)| *sum += x);
         }
         assert!((found / objective - 1.0).abs() < 1e-2, "objective {found}, not {objective}");
         assert_near(&few.sums(), &expected);
     }
 
-    /// Sees that the pulls of all draws of a step add up to what their samples lack of the center
+    /// Sees that the gradients of all draws of a step add up to what their samples lack of the center
     /// of the cube: it is the mean of all targets, so this needs no ranks.
     ///
     /// # Panics

@@ -3,7 +3,7 @@
 use perceptile::kernel::{KernelTaps, Tap};
 use perceptile::metric::Baseline;
 
-use super::{Pulls, gradient, paper_options, paper_taps, shape};
+use super::{Gradients, gradient, paper_options, paper_taps, shape};
 
 /// Taps and samples per pixel of a subset. Large ones come from more samples per pixel, as in
 /// real runs: the paper's kernel has 392 taps.
@@ -22,17 +22,17 @@ const SIZE: [usize; 3] = [32, 32, 8];
 const CHECKED: usize = 60;
 
 /// Checked draws of the `taps` largest taps of the paper's kernel, made equal, in one direction.
-pub fn pulls((taps, spp): (usize, usize), dims: usize) -> Pulls {
+pub fn gradients((taps, spp): (usize, usize), dims: usize) -> Gradients {
     let shape = shape(SIZE, spp, dims);
     let largest = paper_taps(shape);
     let largest = largest.taps()[..taps].iter().map(|tap| Tap { weight: 1.0, ..*tap });
     let taps = KernelTaps::new(largest).expect("taps");
     let tile = Baseline::White.tile(shape, 2);
-    let mut pulls = Pulls::new(gradient(shape, &taps, paper_options(DRAWS)), &tile);
+    let mut gradients = Gradients::new(gradient(shape, &taps, paper_options(DRAWS)), &tile);
     // Ranks are found alike in all dimensions, but tables of targets above two take their time.
     if dims <= 2 || shape.spp() * taps.taps().len() == CHECKED {
-        pulls.check_some(&tile, &taps, 1);
+        gradients.check_some(&tile, &taps, 1);
     }
-    pulls.check_sum(&tile);
-    pulls
+    gradients.check_sum(&tile);
+    gradients
 }

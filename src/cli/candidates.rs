@@ -3,12 +3,12 @@
 use std::collections::HashSet;
 use std::path::PathBuf;
 
-use anyhow::Context;
 use indicatif::{ProgressBar, ProgressStyle};
 use perceptile::kernel::{KernelSpec, KernelTaps};
 use perceptile::metric::{Baseline, ScoreOptions, ScoredTile};
 use perceptile::tile::Tile;
 
+use super::exit::Failure;
 use super::source::SourceArgs;
 
 /// The kernel through which error is seen unless another is given.
@@ -35,7 +35,7 @@ pub fn read(
     paths: Vec<PathBuf>,
     source: &SourceArgs,
     baselines: &[Baseline],
-) -> Result<Vec<Candidate>, anyhow::Error> {
+) -> Result<Vec<Candidate>, Failure> {
     let mut names = HashSet::new();
     let mut unused = |stem: String| {
         let name = (1..)
@@ -75,16 +75,18 @@ impl Candidate {
         options: ScoreOptions,
         with_spectra: bool,
         progress: &ProgressBar,
-    ) -> Result<(ScoredTile, KernelTaps), anyhow::Error> {
+    ) -> Result<(ScoredTile, KernelTaps), Failure> {
         let Self { name, path, tile } = self;
         let shape = tile.shape();
-        let context = || format!("cannot score {name}, a tile of {shape}");
-        let kernel = kernel.resolve(shape).with_context(context)?;
+        let context = |failure: Failure| {
+            failure.explained(format_args!("cannot score {name}, a tile of {shape}"))
+        };
+        let kernel = kernel.resolve(shape).map_err(|error| context(error.into()))?;
         let taps = kernel.classes()[0].taps.clone();
         let (name, path) = (name.clone(), path.clone());
         let entry =
             ScoredTile::of(name, path, tile, &taps, options, with_spectra, || progress.inc(1))
-                .with_context(context)?;
+                .map_err(|error| context(error.into()))?;
         Ok((entry, taps))
     }
 }

@@ -12,8 +12,9 @@ use perceptile::report::pictures::spectrum_picture;
 use serde::Serialize;
 
 use super::candidates::{self, Candidate, DEFAULT_KERNEL, progress};
-use super::print;
+use super::exit::Failure;
 use super::source::SourceArgs;
+use super::stream::print;
 
 /// Score tiles: perceived error, uniformity, accumulation, quantization.
 ///
@@ -82,7 +83,7 @@ struct Evaluation {
 /// # Errors
 /// A tile that cannot be read, a kernel that does not fit one, options out of range, spectra that
 /// exist without `--force` or cannot be written.
-pub fn run(args: EvaluateArgs) -> Result<(), anyhow::Error> {
+pub fn run(args: EvaluateArgs) -> Result<(), Failure> {
     let options = ScoreOptions { set: args.set, integrands: args.integrands };
     options.validate()?;
     let candidates = candidates(&args)?;
@@ -114,15 +115,16 @@ pub fn run(args: EvaluateArgs) -> Result<(), anyhow::Error> {
     // The tile to compare with is always put first.
     let against = tiles[0].name.clone();
     let report = Evaluation { kernel: args.kernel.to_string(), options, against, tiles };
-    print(&if args.json {
+    let text = if args.json {
         serde_json::to_string_pretty(&report)? + "\n"
     } else {
         table::table(&report)
-    })
+    };
+    Ok(print(&text)?)
 }
 
 /// The tiles to score; the one to compare with comes first.
-fn candidates(args: &EvaluateArgs) -> Result<Vec<Candidate>, anyhow::Error> {
+fn candidates(args: &EvaluateArgs) -> Result<Vec<Candidate>, Failure> {
     let mut paths = args.tiles.clone();
     if let Some(against) = &args.against {
         // Given as one of the tiles as well, it is not scored twice.
@@ -144,11 +146,7 @@ fn picture(folder: &Path, name: &str, class: Class, domain: Domain, plane: &str)
     folder.join(format!("{name}-{class}{pairs}-{plane}.png"))
 }
 
-fn save_spectra(
-    folder: &Path,
-    entry: &ScoredTile,
-    existing: Existing,
-) -> Result<(), anyhow::Error> {
+fn save_spectra(folder: &Path, entry: &ScoredTile, existing: Existing) -> Result<(), Failure> {
     for spectra in entry.spectra.iter().flatten() {
         for (plane, spectrum) in [("xy", &spectra.xy), ("xt", &spectra.xt)] {
             let path = picture(folder, &entry.name, spectra.class, spectra.domain, plane);
@@ -164,6 +162,7 @@ mod tests {
     use perceptile::tile::TileShape;
 
     use super::*;
+    use crate::cli::exit::Exit;
 
     #[derive(Debug, Parser)]
     struct Command {
@@ -227,7 +226,7 @@ mod tests {
         assert_eq!(count, 10);
         assert!(pictures.join("a-axis-edge-xt.png").is_file());
         let error = run(parse(&line)).unwrap_err();
-        assert!(error.to_string().contains("exist"), "{error}");
+        assert_eq!(error.code(), Exit::Exists as u8, "{error:?}");
         run(parse(&[&line[..], &["--force"]].concat())).unwrap();
     }
 }

@@ -1,11 +1,12 @@
-//! How a run is carried out: flags of every command that does one, of no influence on the tile.
+//! Threads, workers and instructions: flags of every command that uses them, of no influence on the
+//! tile.
 
 use clap::{Args, ValueEnum};
 use perceptile::gradient::simd::Simd;
-use perceptile::solver::Team;
+use perceptile::solver::Parallelism;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
-use super::Misuse;
+use super::exit::Misuse;
 
 /// Most threads; systems refuse far more of them, some only after having made thousands.
 const MAX_THREADS: usize = 1024;
@@ -71,13 +72,12 @@ impl ExecutionArgs {
         self.workers
     }
 
-    /// Who does the run, as one of so many ranks.
+    /// So many workers and threads, in one process or beside it.
     ///
     /// # Errors
-    /// If that would be too many.
-    pub fn team(&self, regions: usize) -> Result<Team, Misuse> {
-        let threads = self.threads()?;
-        Ok(Team { ranks: self.workers.max(1), threads, regions, can_fail: self.workers > 0 })
+    /// If there are too many of them.
+    pub fn parallelism(&self) -> Result<Parallelism, Misuse> {
+        Ok(Parallelism { ranks: 1, workers: self.workers, threads: self.threads()? })
     }
 
     /// The instruction set on this machine.

@@ -2,13 +2,14 @@
 
 use std::path::PathBuf;
 
-use anyhow::Result;
 use clap::{Args, ValueEnum};
 use perceptile::format::png::Depth;
 use perceptile::format::slices::{SliceOptions, write_slices};
 use perceptile::format::write::{self, Existing};
 
+use super::exit::Failure;
 use super::source::SourceArgs;
+use super::stream::print;
 
 /// Write a tile as PNG files, one for each frame.
 ///
@@ -56,7 +57,7 @@ enum ExportFormat {
 /// # Errors
 /// A tile that cannot be read, files that exist without `--force` or cannot be written, a folder
 /// with slices of another tile.
-pub fn run(args: ExportArgs) -> Result<()> {
+pub fn run(args: ExportArgs) -> Result<(), Failure> {
     let source = args.source.at(args.tile);
     let tile = source.read()?;
     let stem = source.path.file_stem().unwrap_or("tile".as_ref()).to_string_lossy();
@@ -69,11 +70,12 @@ pub fn run(args: ExportArgs) -> Result<()> {
     };
     write::make_folder(&args.out)?;
     let paths = write_slices(&tile, options, &args.out, &stem, Existing::from_force(args.force))?;
-    super::print(&match &paths[..] {
+    let text = match &paths[..] {
         [first, .., last] => {
             format!("{} … {} ({} files)\n", first.display(), last.display(), paths.len())
         }
         [path] => format!("{}\n", path.display()),
         [] => String::new(),
-    })
+    };
+    Ok(print(&text)?)
 }

@@ -8,8 +8,9 @@ use perceptile::format::write::Existing;
 use perceptile::kernel::{Kernel, KernelClass, KernelSpec, ResolveProblem, Tap, picture};
 use serde::Serialize;
 
-use super::print;
+use super::exit::Failure;
 use super::settings::TileSize;
+use super::stream::print;
 
 /// Taps listed per class without `--all`.
 const LISTED: usize = 20;
@@ -57,14 +58,14 @@ pub struct KernelArgs {
 ///
 /// # Errors
 /// A kernel that cannot be made or does not fit the tile, and a picture that cannot be written.
-pub fn run(args: KernelArgs) -> Result<(), anyhow::Error> {
+pub fn run(args: KernelArgs) -> Result<(), Failure> {
     let kernel = match args.tile {
         // Samples per pixel and dimensions do not matter to a kernel.
         Some(size) => args.spec.resolve(size.shape(1, 1)?)?,
         None => args.spec.resolve_without_tile().map_err(|error| {
             let needs_tile = error.problem == ResolveProblem::NeedsTile;
-            let error = anyhow::Error::new(error);
-            if needs_tile { error.context("give --tile WxHxF") } else { error }
+            let failure = Failure::from(error);
+            if needs_tile { failure.explained("give --tile WxHxF") } else { failure }
         })?,
     };
     let text = if args.json {
@@ -83,7 +84,7 @@ pub fn run(args: KernelArgs) -> Result<(), anyhow::Error> {
     Ok(())
 }
 
-fn write_picture(kernel: &Kernel, path: &Path, existing: Existing) -> Result<(), anyhow::Error> {
+fn write_picture(kernel: &Kernel, path: &Path, existing: Existing) -> Result<(), Failure> {
     let picture = picture(kernel);
     let (width, height) = (picture.width(), picture.height());
     Image::new(width, height, 3, picture.into_rgb())?.save(path, existing)?;

@@ -1,6 +1,6 @@
 //! `perceptile optimize`: from options to a tile on the disk.
 
-use std::path::PathBuf;
+use std::path::{self, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
 
@@ -8,19 +8,20 @@ use clap::Args;
 use perceptile::format::source::TileSource;
 use perceptile::format::write::Existing;
 use perceptile::metric::ScoreOptions;
-use perceptile::run::begin::Begin;
-use perceptile::run::keeper::Keeper;
+use perceptile::run::checkpointer::Checkpointer;
 use perceptile::run::memory;
-use perceptile::run::outputs::Outputs;
-use perceptile::run::program::Program;
+use perceptile::run::output::OutputFiles;
+use perceptile::run::plan::Plan;
+use perceptile::run::start::InitialState;
 use perceptile::solver::HaloTraffic;
 use perceptile::tile::Region;
-use perceptile_cluster::peers::Peers;
+use perceptile_cluster::communicator::Communicator;
 
-use super::carry::{CarryArgs, Invocation, Ready};
-use super::execution::ExecutionArgs;
-use super::print;
+use super::exit::Failure;
+use super::prepared::{Files, Invocation, PreparedRun};
+use super::run::{RunArgs, check_folder};
 use super::settings::Settings;
+use super::stream::print;
 
 /// Make a sample tile
 ///
@@ -52,10 +53,7 @@ pub struct OptimizeArgs {
     run_dir: Option<PathBuf>,
 
     #[command(flatten)]
-    execution: ExecutionArgs,
-
-    #[command(flatten)]
-    carry: CarryArgs,
+    run: RunArgs,
 
     /// Integrands of each class that the tile is scored on at the end; 0 leaves scores out
     #[arg(long, value_name = "N", default_value_t = ScoreOptions::default().integrands)]
@@ -70,47 +68,52 @@ pub struct OptimizeArgs {
 ///
 /// # Errors
 /// Wrong settings, outputs that exist or cannot be written, too little memory, lost workers.
-pub fn run(args: OptimizeArgs, peers: Option<Arc<dyn Peers>>) -> anyhow::Result<ExitCode> {
-    let ranks = peers.as_ref().map_or(1, |peers| peers.size());
-    args.carry.check(&args.execution, ranks)?;
-    args.carry.run(&args.execution, peers, || prepare(&args, ranks))
+pub fn run(args: &OptimizeArgs, communicator: &Arc<dyn Communicator>) -> Result<ExitCode, Failure> {
+    args.run.run(communicator, || prepare(args, communicator.size()))
 }
 
 /// Gets the run ready, or says what it would do.
-fn prepare(args: &OptimizeArgs, ranks: usize) -> anyhow::Result<Option<Ready>> {
+fn prepare(args: &OptimizeArgs, ranks: usize) -> Result<Option<PreparedRun>, Failure> {
     let settings = match &args.config {
         Some(path) => args.settings.clone().or(Settings::read(path)?),
         None => args.settings.clone(),
     };
     let (options, start) = settings.clone().options()?;
-    let program = Program::new(&options, args.execution.team(ranks)?)?;
+    let plan = Plan::new(&options, args.run.parallelism(ranks)?)?;
     if args.integrands > 0 {
         let score_options = ScoreOptions { integrands: args.integrands, ..Default::default() };
         score_options.validate()?;
     }
     if ranks == 1 {
-        memory::check(&program)?;
+        memory::check(&plan)?;
     }
-    program.check_batch()?;
+    plan.check_batch()?;
+    let start = start.map(|path| TileSource::new(path).read()).transpose()?;
+    let start = InitialState::new(&plan, start.as_ref())?;
+    let existing = Existing::from_force(args.force);
+    let folder = args.run_dir.clone().unwrap_or_else(|| args.out.with_extension("run"));
+    let outputs = OutputFiles::of(&args.out);
+    outputs.probe(existing)?;
+    check_folder(&outputs, &folder)?;
     if args.dry_run {
-        print(&plan(&program))?;
+        Checkpointer::probe(&folder, existing)?;
+        print(&describe(&plan))?;
         return Ok(None);
     }
-    let existing = Existing::from_force(args.force);
-    Outputs::of(&args.out).probe(existing)?;
-    let start = start.map(|path| TileSource::new(path).read()).transpose()?;
-    let begin = Begin::new(&program, start.as_ref())?;
-    drop(start);
-    let folder = args.run_dir.clone().unwrap_or_else(|| args.out.with_extension("run"));
-    let invocation = Invocation { settings, out: args.out.clone(), integrands: args.integrands };
-    let kept = serde_json::to_string(&invocation)?;
-    let keeper = Keeper::new(&folder, args.carry.checkpoint(), existing, kept)?;
-    Ok(Some(Ready { invocation, program, begin: Some(begin), existing, keeper }))
+    let claims = outputs.claim(existing)?;
+    let out =
+        path::absolute(&args.out).map_err(Failure::refused("cannot find where the tile goes"))?;
+    let invocation = Invocation { settings, out, integrands: args.integrands };
+    let kept = serde_json::to_string(&invocation)
+        .map_err(Failure::refused("cannot write down the settings"))?;
+    let checkpointer = Checkpointer::new(&folder, args.run.checkpoint(), existing, kept)?;
+    let files = Files { invocation, outputs, existing, checkpointer, claims };
+    Ok(Some(PreparedRun { plan, start, files: Some(files) }))
 }
 
 /// What `--dry-run` prints.
-fn plan(program: &Program) -> String {
-    let options = &program.options;
+fn describe(plan: &Plan) -> String {
+    let options = &plan.options;
     let mut text = String::new();
     let mut line = |words: String| text += &(words + "\n");
     line(format!("tile        {}", options.shape));
@@ -119,21 +122,21 @@ fn plan(program: &Program) -> String {
         "work        {} steps of {} draws, {} full-batch steps, {} warp frames",
         options.steps, options.draw.draws, options.polish.steps, options.warp.frames
     ));
-    line(format!("memory      {} MB", memory::foreseen(program) >> 20));
-    if program.team.can_fail {
+    line(format!("memory      {} MB", memory::foreseen(plan) >> 20));
+    if plan.parallelism.has_workers() {
         line(format!(
             "  shared    {} MB",
-            program.storage(Region::whole(options.shape)).bytes() >> 20
+            plan.storage(Region::whole(options.shape)).bytes() >> 20
         ));
     }
-    if program.team.regions > 1 {
-        let reach = program.partition().reach();
-        let regions = program.regions(0);
+    if plan.parallelism.ranks > 1 {
+        let reach = plan.partition().reach();
+        let regions = plan.regions(0);
         let traffic = HaloTraffic::of(&regions, reach);
         let place = regions.own().place();
         line(format!(
             "ranks       {} with regions such as {}x{}",
-            program.team.regions, place.width, place.height
+            plan.parallelism.ranks, place.width, place.height
         ));
         line(format!(
             "halo        {:.1} KB in {} messages from the first rank in each step",

@@ -8,8 +8,6 @@ use std::time::Duration;
 use clap::Args;
 use perceptile::format::write::{self, Existing};
 use perceptile::profile::counters::Counters;
-#[cfg(unix)]
-use perceptile::profile::crew::{self, CrewProfile};
 use perceptile::profile::machine::Machine;
 use perceptile::profile::measure;
 use perceptile::profile::picture;
@@ -18,14 +16,17 @@ use perceptile::profile::roofline::Rates;
 use perceptile::profile::spans;
 use perceptile::profile::subject::Subject;
 #[cfg(unix)]
-use perceptile::run::crew::CrewOptions;
+use perceptile::profile::workers::{self, WorkersProfile};
+#[cfg(unix)]
+use perceptile::run::backend::workers::WorkersOptions;
 use perceptile::run::memory;
-use perceptile::run::program::Program;
+use perceptile::run::plan::Plan;
 use perceptile::solver::Start;
 
 use super::execution::{self, ExecutionArgs};
-use super::print;
+use super::exit::Failure;
 use super::settings::Settings;
+use super::stream::print;
 use scaling::{Manner, ScalingArgs};
 
 /// Show where time and memory traffic of a run go
@@ -34,7 +35,7 @@ use scaling::{Manner, ScalingArgs};
 /// and without probes. Shows time, bytes and operations of each stage, and where it stands under
 /// what this machine can do; for layouts of the tile and orders of the draws the cache lines and
 /// pages of a draw, and its misses on a model of this machine's caches; what the processor
-/// counts, where it is allowed to tell; and what to do about all that. With workers, also what each of them
+/// counts, where it is allowed to; and what to do about all that. With workers, also what each of them
 /// does, what it waits for and reads of others, and what it costs them to go in step. Writes no
 /// tile.
 ///
@@ -83,7 +84,7 @@ const MOST_EVENTS: usize = 120_000;
 ///
 /// # Errors
 /// Wrong settings, outputs that exist or cannot be written, too little memory.
-pub fn run(args: ProfileArgs) -> anyhow::Result<()> {
+pub fn run(args: ProfileArgs) -> Result<(), Failure> {
     let settings = match &args.config {
         Some(path) => args.settings.or(Settings::read(path)?),
         None => args.settings,
@@ -107,10 +108,10 @@ pub fn run(args: ProfileArgs) -> anyhow::Result<()> {
         };
         return scaling::run(&args.scaling, (!nothing_set).then_some(options), &manner);
     }
-    let program = Program::new(&options, args.execution.team(1)?)?;
-    memory::check(&program)?;
-    program.check_batch()?;
-    let subject = Subject::new(&options, &program.kernel, threads)?;
+    let plan = Plan::new(&options, args.execution.parallelism()?)?;
+    memory::check(&plan)?;
+    plan.check_batch()?;
+    let subject = Subject::new(&options, &plan.kernel, threads)?;
     write::probe(args.trace.iter().chain(&args.svg), existing)?;
     let simd = args.execution.simd();
     let machine = Machine::detect();
@@ -122,16 +123,16 @@ pub fn run(args: ProfileArgs) -> anyhow::Result<()> {
     let mut profile = pool
         .install(|| Profile::take(&subject, machine, rates, simd, args.measure, &mut counters))?;
     #[cfg(unix)]
-    if program.team.can_fail {
-        let (options, step) = (crew_options(), profile.whole.seconds);
-        profile.crew = Some(CrewProfile::take(&program, simd, &options, step, args.measure)?);
+    if plan.parallelism.has_workers() {
+        let (options, step) = (workers_options(), profile.whole.seconds);
+        profile.workers = Some(WorkersProfile::take(&plan, simd, &options, step, args.measure)?);
     }
     if let Some(path) = &args.trace
-        && program.team.can_fail
+        && plan.parallelism.has_workers()
     {
         #[cfg(unix)]
         {
-            let workers = crew::spans(&program, simd, &crew_options(), MOST_EVENTS)?;
+            let workers = workers::spans(&plan, simd, &workers_options(), MOST_EVENTS)?;
             write::write(path, existing, |out| {
                 spans::write_workers(out, threads, &workers, 2 * MOST_EVENTS as u64)
             })?;
@@ -147,17 +148,18 @@ pub fn run(args: ProfileArgs) -> anyhow::Result<()> {
         let picture = picture::svg(&profile);
         write::write(path, existing, |out| out.write_all(picture.as_bytes()))?;
     }
-    if args.json {
-        print(&(serde_json::to_string_pretty(&profile)? + "\n"))
+    let text = if args.json {
+        serde_json::to_string_pretty(&profile)? + "\n"
     } else {
-        print(&profile.to_string())
-    }
+        profile.to_string()
+    };
+    Ok(print(&text)?)
 }
 
 /// Workers that nothing is to go wrong with.
 #[cfg(unix)]
-fn crew_options() -> CrewOptions {
-    CrewOptions {
+fn workers_options() -> WorkersOptions {
+    WorkersOptions {
         arguments: vec![super::WORKER.into()],
         pin: false,
         silence: Duration::from_secs(10),

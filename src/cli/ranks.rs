@@ -1,33 +1,29 @@
 //! The ranks of a cluster, as the command sees them.
 //!
 //! All ranks are started with the same arguments. The root alone reads and writes files and speaks
-//! to people: it prepares the run and tells the others what to do, or with which exit code to end.
+//! to people: it prepares the run and sends the others its plan, or the exit code to end with.
 //! A rank that fails by itself says so, and all end.
 
+use std::process::ExitCode;
 use std::sync::Arc;
-use std::time::Duration;
 
-use perceptile::run::begin::Begin;
-use perceptile::run::program::Program;
+use perceptile::run::plan::Plan;
+use perceptile::run::start::InitialState;
 use perceptile_cluster::codec;
+use perceptile_cluster::communicator::Communicator;
+#[cfg(not(feature = "mpi"))]
+use perceptile_cluster::communicator::Single;
 use perceptile_cluster::launcher::Launcher;
-use perceptile_cluster::peers::Peers;
 use serde::{Deserialize, Serialize};
 
-use super::carry::Ready;
-use super::{Misuse, say};
+use super::exit::{Failure, Misuse};
+use super::prepared::PreparedRun;
 
-/// A failure that was told already, and the exit code for it.
-#[derive(Debug, thiserror::Error)]
-#[error("the run has failed")]
-pub struct Told(pub u8);
-
-/// What the root tells other ranks.
+/// What the root sends to other ranks.
 #[derive(Debug, Serialize, Deserialize)]
 struct Brief {
-    program: Program,
-    /// Whether it begins with a checkpoint.
-    is_kept: bool,
+    plan: Plan,
+    from_checkpoint: bool,
 }
 
 /// Most memory that a brief may ask for: kernels of millions of taps are long.
@@ -38,30 +34,31 @@ pub fn launcher() -> Option<Launcher> {
     Launcher::detect(|name| std::env::var(name).ok())
 }
 
-/// The ranks that this process is one of, if a launcher started it as such.
+/// The ranks that this process is one of; the only one, if no launcher started it as such.
 ///
 /// # Errors
-/// A program that was built without MPI, or with another one than its launcher's.
+/// A program that was built with another MPI than its launcher's.
 #[cfg(feature = "mpi")]
-pub fn join(launcher: Option<Launcher>) -> anyhow::Result<Option<Arc<dyn Peers>>> {
+pub fn join(launcher: Option<Launcher>) -> Result<Arc<dyn Communicator>, Failure> {
+    use perceptile_cluster::communicator::Single;
     use perceptile_cluster::mpi::Mpi;
 
     if launcher.is_none() {
-        return Ok(None);
+        return Ok(Arc::new(Single));
     }
     let mpi = Mpi::init().map_err(|error| Misuse(error.to_string()))?;
     mpi.end_all_on_panic();
-    Ok(Some(Arc::new(mpi)))
+    Ok(Arc::new(mpi))
 }
 
-/// The ranks that this process is one of: none, as it was built without MPI.
+/// The only rank, as this program was built without MPI.
 ///
 /// # Errors
 /// A launcher that started several.
 #[cfg(not(feature = "mpi"))]
-pub fn join(launcher: Option<Launcher>) -> anyhow::Result<Option<Arc<dyn Peers>>> {
+pub fn join(launcher: Option<Launcher>) -> Result<Arc<dyn Communicator>, Failure> {
     check_alone(launcher, "this program was built without MPI: build it with `--features mpi`")?;
-    Ok(None)
+    Ok(Arc::new(Single))
 }
 
 /// Refuses to be one of several.
@@ -78,88 +75,73 @@ pub fn check_alone(launcher: Option<Launcher>, why: &str) -> Result<(), Misuse> 
     }
 }
 
-/// What the root has prepared, on all ranks: a run, or what it ends with instead.
-pub enum Prepared {
-    /// The root's.
-    Root(Box<Ready>),
-    /// Another rank's.
-    Other(Box<Program>, Begin),
-    /// There is nothing to carry out; the exit code.
-    Ended(u8),
-}
-
-/// Tells other ranks what the root has prepared; `prepare` is called by the root alone. `threads`
-/// are this rank's.
+/// Sends other ranks what the root prepares: a run, or nothing. `threads` says how many this rank
+/// has.
 ///
 /// # Errors
-/// At the root, what `prepare` reports.
+/// At the root, what `prepare` reports; elsewhere the same, reported already.
 pub fn share(
-    peers: &dyn Peers,
-    threads: usize,
-    prepare: impl FnOnce() -> anyhow::Result<Option<Ready>>,
-) -> anyhow::Result<Prepared> {
+    communicator: &dyn Communicator,
+    threads: impl FnOnce() -> Result<usize, Misuse>,
+    prepare: impl FnOnce() -> Result<Option<PreparedRun>, Failure>,
+) -> Result<Option<PreparedRun>, Failure> {
+    if communicator.size() == 1 {
+        return prepare();
+    }
     let mut bytes = Vec::new();
-    if peers.rank() == 0 {
+    if communicator.rank() == 0 {
         let prepared = prepare();
-        let brief: Result<Brief, u8> = match &prepared {
-            Ok(Some(Ready { program, begin, .. })) => {
-                let is_kept = begin.as_ref().is_some_and(Begin::is_kept);
-                Ok(Brief { program: program.clone(), is_kept })
-            }
-            Ok(None) => Err(0),
-            Err(error) => Err(super::exit_code(error)),
+        let brief: Result<Option<Brief>, u8> = match &prepared {
+            Ok(job) => Ok(job.as_ref().map(|PreparedRun { plan, start, .. }| Brief {
+                plan: plan.clone(),
+                from_checkpoint: start.is_checkpoint(),
+            })),
+            Err(failure) => Err(failure.code()),
         };
-        bytes = codec::encode(&brief)?;
-        peers.broadcast(&mut bytes);
-        return Ok(prepared?.map_or(Prepared::Ended(0), |ready| Prepared::Root(Box::new(ready))));
+        bytes = codec::encode(&brief)
+            .map_err(Failure::refused("cannot send the plan to other ranks"))?;
+        communicator.broadcast(&mut bytes);
+        return prepared;
     }
-    peers.broadcast(&mut bytes);
-    Ok(match codec::decode::<Result<Brief, u8>, BRIEF_LIMIT>(&bytes)? {
-        Ok(Brief { mut program, is_kept }) => {
-            program.team.threads = threads;
-            let begin = Begin::beside_root(&program, is_kept);
-            Prepared::Other(Box::new(program), begin)
-        }
-        Err(code) => Prepared::Ended(code),
-    })
-}
-
-/// Has a rank that would only say what the first one says wait until that has spoken: launchers end
-/// all ranks as soon as one has failed.
-pub fn let_first_speak() {
-    std::thread::sleep(Duration::from_millis(500));
-}
-
-/// Says what went wrong, once.
-pub fn tell(error: anyhow::Error) -> Told {
-    if let Some(&Told(code)) = error.downcast_ref() {
-        return Told(code);
-    }
-    say(format_args!("error: {error:#}"));
-    Told(super::exit_code(&error))
+    communicator.broadcast(&mut bytes);
+    let brief = codec::decode::<Result<Option<Brief>, u8>, BRIEF_LIMIT>(&bytes)
+        .map_err(Failure::refused("cannot read the plan of the first rank"))?;
+    let Some(Brief { mut plan, from_checkpoint }) = brief.map_err(Failure::reported)? else {
+        return Ok(None);
+    };
+    plan.parallelism.threads = threads()?;
+    let start = InitialState::beside_root(&plan, from_checkpoint);
+    Ok(Some(PreparedRun { plan, start, files: None }))
 }
 
 /// Goes on if all ranks do. The first that cannot says why.
 ///
 /// # Errors
-/// [`Told`] on all ranks, if one of them fails.
-pub fn agree<T>(peers: &dyn Peers, result: anyhow::Result<T>) -> anyhow::Result<T> {
+/// On all ranks, if one of them fails.
+pub fn agree<T>(communicator: &dyn Communicator, result: Result<T, Failure>) -> Result<T, Failure> {
+    let (rank, size) = (communicator.rank(), communicator.size());
     // The largest is that of the first rank that fails.
-    let key = |code: u8| (peers.size() - peers.rank()) as i64 * 256 + i64::from(code);
-    let mine = result.as_ref().err().map_or(0, |error| key(super::exit_code(error)));
+    let key = |code: u8| (size - rank) as i64 * 256 + i64::from(code);
+    let mine = result.as_ref().err().map_or(0, |failure| key(failure.code()));
     let mut all = [mine];
-    peers.max(&mut all);
-    if all == [0] {
-        return result;
+    communicator.max(&mut all);
+    match result {
+        Err(failure) if all == [mine] => Err(named(failure, rank)),
+        Ok(value) if all == [0] => Ok(value),
+        _ => Err(Failure::reported((all[0] % 256) as u8)),
     }
-    if let Err(error) = result
-        && all == [mine]
-    {
-        let rank = peers.rank();
-        eprintln!(
-            "error: {}{error:#}",
-            if rank > 0 { format!("rank {rank}: ") } else { "".into() }
-        );
-    }
-    Err(Told((all[0] % 256) as u8).into())
+}
+
+/// Ends together: what went wrong is said while all ranks still wait for each other, as launchers
+/// end all of them as soon as one has failed.
+pub fn end(communicator: &dyn Communicator, result: Result<ExitCode, Failure>) -> ExitCode {
+    let code = result.unwrap_or_else(Failure::report);
+    // What the root still does needs the others' cores, not their company.
+    communicator.rest();
+    code
+}
+
+/// A failure that says on which rank it happened, unless that is the first.
+fn named(failure: Failure, rank: usize) -> Failure {
+    if rank > 0 { failure.explained(format_args!("rank {rank}")) } else { failure }
 }

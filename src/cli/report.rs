@@ -3,7 +3,6 @@
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use anyhow::Context;
 use perceptile::format::write::Existing;
 use perceptile::kernel::KernelSpec;
 use perceptile::metric::{Baseline, ScoreOptions};
@@ -11,8 +10,9 @@ use perceptile::report::{Report, ReportOptions};
 use perceptile::run::signals::Signals;
 
 use super::candidates::{self, DEFAULT_KERNEL, progress};
+use super::exit::Failure;
 use super::source::SourceArgs;
-use super::{print, say};
+use super::stream::{print, say};
 
 /// Most frames per second of the animations.
 const MAX_FPS: f64 = 1000.0;
@@ -85,8 +85,9 @@ fn fps(text: &str) -> Result<f64, String> {
 /// # Errors
 /// A tile that cannot be read, a kernel that does not fit one, options out of range, renders that
 /// cannot be used, a folder that exists or cannot be written.
-pub fn run(args: ReportArgs) -> Result<ExitCode, anyhow::Error> {
-    let signals = Signals::install().context("cannot listen for signals")?;
+pub fn run(args: ReportArgs) -> Result<ExitCode, Failure> {
+    let signals =
+        Signals::install(|_| ()).map_err(Failure::refused("cannot listen for signals"))?;
     let scores = ScoreOptions { set: args.set, integrands: args.integrands };
     scores.validate()?;
     let command = args.command();

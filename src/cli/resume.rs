@@ -1,25 +1,29 @@
 //! `perceptile resume`: goes on with a run that was stopped or killed.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
 
-use anyhow::Context;
 use clap::Args;
+use perceptile::format::sidecar::{self, Sidecar};
 use perceptile::format::write::Existing;
-use perceptile::run::keeper::{Keeper, Resumed};
+use perceptile::run::checkpointer::{Checkpointer, Resumed};
 use perceptile::run::memory;
-use perceptile::run::outputs::Outputs;
-use perceptile_cluster::peers::Peers;
+use perceptile::run::output::OutputFiles;
+use perceptile::run::plan::Plan;
+use perceptile_cluster::communicator::Communicator;
 
-use super::carry::{CarryArgs, Invocation, Ready};
-use super::execution::ExecutionArgs;
+use super::exit::Failure;
+use super::prepared::{Files, Invocation, PreparedRun};
+use super::run::{RunArgs, check_folder};
+use super::stream::say;
 
 /// Go on with a run that was stopped or killed
 ///
 /// Reads the newest good checkpoint of the run's folder and does the rest, with any number of
 /// threads, workers and ranks, to the same bytes that the run would have made. A damaged checkpoint is
-/// named, and the one before it used.
+/// named, and the one before it used. The tile so far that the run wrote when it was stopped is
+/// replaced.
 #[derive(Debug, Args)]
 pub struct ResumeArgs {
     /// The run's folder
@@ -30,15 +34,12 @@ pub struct ResumeArgs {
     #[arg(long, value_name = "NPY")]
     out: Option<PathBuf>,
 
-    /// Replace files that exist, such as the tile so far of a run that was stopped
+    /// Replace files that exist, other than the tile so far of the run itself
     #[arg(long)]
     force: bool,
 
     #[command(flatten)]
-    execution: ExecutionArgs,
-
-    #[command(flatten)]
-    carry: CarryArgs,
+    run: RunArgs,
 }
 
 /// Goes on with the run.
@@ -46,30 +47,41 @@ pub struct ResumeArgs {
 /// # Errors
 /// No run that could go on, outputs that exist or cannot be written, too little memory, lost
 /// workers.
-pub fn run(args: ResumeArgs, peers: Option<Arc<dyn Peers>>) -> anyhow::Result<ExitCode> {
-    let ranks = peers.as_ref().map_or(1, |peers| peers.size());
-    args.carry.check(&args.execution, ranks)?;
-    args.carry.run(&args.execution, peers, || prepare(&args, ranks))
+pub fn run(args: &ResumeArgs, communicator: &Arc<dyn Communicator>) -> Result<ExitCode, Failure> {
+    args.run.run(communicator, || prepare(args, communicator.size()))
 }
 
 /// Gets the rest of the run ready.
-fn prepare(args: &ResumeArgs, ranks: usize) -> anyhow::Result<Option<Ready>> {
-    let team = args.execution.team(ranks)?;
-    let (keeper, resumed) = Keeper::resume(&args.folder, args.carry.checkpoint(), team)?;
-    let Resumed { program, begin, invocation, damaged } = resumed;
+fn prepare(args: &ResumeArgs, ranks: usize) -> Result<Option<PreparedRun>, Failure> {
+    let parallelism = args.run.parallelism(ranks)?;
+    let (checkpointer, resumed) =
+        Checkpointer::resume(&args.folder, args.run.checkpoint(), parallelism)?;
+    let Resumed { plan, start, invocation, damaged } = resumed;
     for checkpoint in damaged {
-        eprintln!("a checkpoint is damaged, and an earlier one is used: {checkpoint}");
+        say(format_args!("a checkpoint is damaged, and an earlier one is used: {checkpoint}"));
     }
-    let mut invocation: Invocation =
-        serde_json::from_str(&invocation).context("the run does not say how it was started")?;
+    let mut invocation: Invocation = serde_json::from_str(&invocation)
+        .map_err(Failure::refused("the run does not say how it was started"))?;
     if let Some(out) = &args.out {
         invocation.out.clone_from(out);
     }
     if ranks == 1 {
-        memory::check(&program)?;
+        memory::check(&plan)?;
     }
-    program.check_batch()?;
-    let existing = Existing::from_force(args.force);
-    Outputs::of(&invocation.out).probe(existing)?;
-    Ok(Some(Ready { invocation, program, begin: Some(begin), existing, keeper }))
+    plan.check_batch()?;
+    let existing = Existing::from_force(args.force || is_so_far(&invocation.out, &plan));
+    let outputs = OutputFiles::of(&invocation.out);
+    check_folder(&outputs, &args.folder)?;
+    let claims = outputs.claim(existing)?;
+    let files = Files { invocation, outputs, existing, checkpointer, claims };
+    Ok(Some(PreparedRun { plan, start, files: Some(files) }))
+}
+
+/// Whether the tile at a path is what this run wrote when it was stopped: its provenance has the
+/// run's options and stops early, and nobody has changed the tile since.
+fn is_so_far(tile: &Path, plan: &Plan) -> bool {
+    let Ok(sidecar) = Sidecar::read(&Sidecar::path_of(tile)) else { return false };
+    sidecar.options["options"] == serde_json::json!(plan.options)
+        && sidecar.options["summary"]["reason"] != "completed"
+        && sidecar::file_digest(tile).is_ok_and(|digest| digest == sidecar.sha256)
 }

@@ -4,14 +4,13 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-use anyhow::Context;
 use clap::{Args, ValueEnum};
 use perceptile::kernel::KernelSpec;
 use perceptile::solver::{Options, Preset, Start};
 use perceptile::tile::{ShapeError, TileShape};
 use serde::{Deserialize, Serialize};
 
-use super::Misuse;
+use super::exit::{Failure, Misuse};
 
 /// Width × height × frames of a tile, written `128x128x30`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -206,13 +205,13 @@ impl Settings {
     ///
     /// # Errors
     /// A file that cannot be read, is not TOML, or has a name or value that is no setting.
-    pub fn read(path: &Path) -> anyhow::Result<Self> {
+    pub fn read(path: &Path) -> Result<Self, Failure> {
         const MAX_BYTES: u64 = 1 << 20;
-        let unreadable = || format!("cannot read {}", path.display());
-        let metadata = std::fs::metadata(path).with_context(unreadable)?;
+        let unreadable = format!("cannot read {}", path.display());
+        let metadata = std::fs::metadata(path).map_err(Failure::refused(&unreadable))?;
         if !metadata.is_file() {
             // A pipe or a device may never end.
-            return Err(anyhow::anyhow!("it is not a file")).with_context(unreadable);
+            return Err(Failure::refused(&unreadable)("it is not a file"));
         }
         let size = metadata.len();
         if size > MAX_BYTES {
@@ -222,7 +221,7 @@ impl Settings {
             );
             return Err(Misuse(message).into());
         }
-        let text = std::fs::read_to_string(path).with_context(unreadable)?;
+        let text = std::fs::read_to_string(path).map_err(Failure::refused(&unreadable))?;
         toml::from_str(&text).map_err(|error| {
             Misuse(format!("{}: {error}", path.display()).trim_end().into()).into()
         })
@@ -266,7 +265,7 @@ impl Settings {
     ///
     /// # Errors
     /// A size that no tile has.
-    pub fn options(self) -> anyhow::Result<(Options, Option<PathBuf>)> {
+    pub fn options(self) -> Result<(Options, Option<PathBuf>), Failure> {
         let mut options = Preset::from(self.preset.unwrap_or(PresetName::Best)).options();
         let shape = options.shape;
         let size = self.tile.unwrap_or(TileSize {
@@ -400,7 +399,7 @@ mod tests {
         #[test]
         fn the_command_line_and_a_file_say_the_same(x in 0.0..1.0_f64, tiny in 0_i32..300, n: u32) {
             let settings = full(x * 10.0_f64.powi(-tiny), n);
-            // Every setting is told; a new one that is left out here fails to compile above.
+            // Every setting is there; a new one that is left out here fails to compile above.
             prop_assert!(settings.command_line().len() > 40);
             prop_assert_eq!(&parse(&settings.command_line()), &settings);
             // TOML has no integers above 2⁶³.

@@ -7,23 +7,26 @@
 use std::fmt::Display;
 use std::io::{self, Write};
 
-use anyhow::Context;
+use thiserror::Error;
+
+/// The standard output takes no more, and not because its reader has gone.
+#[derive(Debug, Error)]
+#[error("cannot write to the standard output: {0}")]
+pub struct OutputError(io::Error);
 
 /// Writes a result to the standard output; that its reader went away is no error.
 ///
 /// # Errors
 /// An output that cannot be written for another reason, such as a full disk.
-pub fn print(text: &str) -> anyhow::Result<()> {
+pub fn print(text: &str) -> Result<(), OutputError> {
     let mut out = io::stdout().lock();
     match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
-        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
-            Err(error).context("cannot write to the standard output")
-        }
+        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => Err(OutputError(error)),
         _ => Ok(()),
     }
 }
 
-/// Writes a message to the standard error, as one line; nobody can be told that this failed.
+/// Writes a message to the standard error, as one line; nobody can hear that this failed.
 pub fn say(message: impl Display) {
     // One write, so that lines of several processes do not mix.
     let _ = io::stderr().write_all(format!("{message}\n").as_bytes());

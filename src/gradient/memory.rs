@@ -1,4 +1,4 @@
-//! Gathering and scattering: how the samples of a subset come out of a tile and pulls go back.
+//! Gathering and scattering: how the samples of a subset come out of a tile and gradients go back.
 //!
 //! The runs of a subset are located once, in the tile's rows and the patch of the block, or in a
 //! copy of what one cell sees in another [`crate::tile::Layout`], pixel by pixel. Whole registers
@@ -148,10 +148,10 @@ impl Memory<'_> {
         }
     }
 
-    /// Adds `pulls`, in the order of `points`, to the integer gradient; a [`CHUNK`] more of them
+    /// Adds `gradients`, in the order of `points`, to the integer gradient; a [`CHUNK`] more of them
     /// can be read.
     #[inline(always)]
-    pub fn scatter(&mut self, spots: &[Spot], pulls: &[f32]) {
+    pub fn scatter(&mut self, spots: &[Spot], gradients: &[f32]) {
         let mut from = 0;
         for &Spot { patch, words, .. } in spots {
             let mut k = 0;
@@ -159,9 +159,9 @@ impl Memory<'_> {
                 let mask = CHUNK - (words - k).min(CHUNK);
                 let mask: &[i32; CHUNK] = MASKS[mask..mask + CHUNK].try_into().expect("a chunk");
                 let sums = &mut self.patch[patch + k..patch + k + CHUNK];
-                let pulls = &pulls[from + k..from + k + CHUNK];
+                let gradients = &gradients[from + k..from + k + CHUNK];
                 for i in 0..CHUNK {
-                    sums[i] += to_integer(pulls[i]) & mask[i];
+                    sums[i] += to_integer(gradients[i]) & mask[i];
                 }
                 k += CHUNK;
             }

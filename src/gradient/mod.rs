@@ -1,14 +1,14 @@
 //! The gradient of the filtered sliced Wasserstein distance (Algorithm 1, line 9).
 //!
 //! A draw gathers its subset of samples from the tile's rows, projects it onto its directions,
-//! ranks the projections, and pulls every sample along each direction towards the quantile of
+//! ranks the projections, and moves every sample along each direction towards the quantile of
 //! its rank (supplement, Eq. 8). In that equation the factors m/n and 1/m cancel, so samples are
-//! pulled by the plain difference, whatever the size of the subset; the objective whose negative
+//! moved by the plain difference, whatever the size of the subset; the objective whose negative
 //! gradient this is, is half the sum over draws and samples of (projection − target)², that is
 //! n·W₂²/2 of each subset. `reference` says the same in f64 and without haste.
 //!
 //! Draws of a cell go through their stages one behind the other, so that memory is asked for
-//! before it is needed. What makes a stage fast is told in its file: [`Run`]s of samples that lie
+//! before it is needed. What makes a stage fast stands in its file: [`Run`]s of samples that lie
 //! side by side, `memory` that moves them in whole registers, `rank` that sorts one word for each
 //! sample, targets in closed form or from tables.
 //!
@@ -42,11 +42,11 @@ pub struct Quantum {
 impl Quantum {
     /// The finest unit for which no gradient can overflow, and no finer than 2⁻²⁰.
     ///
-    /// A coordinate is pulled by at most √d in a direction, because all projections lie in an
+    /// A coordinate is moved by at most √d in a direction, because all projections lie in an
     /// interval no longer than that. A sample is in a draw's subset only if the draw's pixel lies
     /// at one of the offsets of its level set, so at most `offsets · most_per_pixel` draws (and
-    /// no more than there are) pull at it. With half a unit more for each rounding, the sum must
-    /// stay below 2³¹; and a single pull below 2²², for the rounding itself. `None` if the unit
+    /// no more than there are) move it. With half a unit more for each rounding, the sum must
+    /// stay below 2³¹; and a single gradient below 2²², for the rounding itself. `None` if the unit
     /// would be coarser than 2⁻¹⁰, a sixteenth of a pixel's share of a small tile.
     pub fn new(draws: &Draws, partition: &Partition) -> Option<Self> {
         let levels = draws.levels();
@@ -55,9 +55,9 @@ impl Quantum {
             draws.most_per_pixel(partition).saturating_mul(offsets).min(draws.options().draws)
                 as f64;
         let dims = partition.shape().dims() as f64;
-        let pull = draws.options().directions as f64 * dims.sqrt();
+        let most = draws.options().directions as f64 * dims.sqrt();
         let fits = |exponent: u32| {
-            let units = pull * f64::from(1_u32 << exponent) + 0.5;
+            let units = most * f64::from(1_u32 << exponent) + 0.5;
             units * touching < f64::from(i32::MAX) && units < f64::from(1 << 22)
         };
         (10..=20).rev().find(|&exponent| fits(exponent)).map(|exponent| Self { exponent })
@@ -90,7 +90,7 @@ pub struct Workspace {
 /// What a stage needs while it works on one draw.
 #[derive(Debug, Clone, Default)]
 struct StageScratch {
-    /// Samples or pulls of a draw taken apart, one plane for each dimension.
+    /// Samples or gradients of a draw taken apart, one plane for each dimension.
     planes: Vec<f32>,
     /// The target of each rank, and what they are made from.
     targets: Vec<f32>,
@@ -104,7 +104,7 @@ struct DrawSlot {
     /// Samples of the subset, and the next multiple of [`LANES`].
     n: usize,
     padded: usize,
-    /// Gathered samples, point after point; later the pulls on them.
+    /// Gathered samples, point after point; later the gradients on them.
     points: Vec<f32>,
     /// For each direction, the projection of each sample, and the target of its rank.
     projections: Vec<f32>,
@@ -346,7 +346,7 @@ fn run<I: Isa, P: Probe>(job: CellJob<'_, P>, isa: I) -> Objective {
     objective
 }
 
-/// Stages that a draw goes through: gather, rank, pull, scatter.
+/// Stages that a draw goes through: gather, rank, move, scatter.
 const STAGES: usize = 4;
 
 /// Most numbers of a subset for which draws overlap.
@@ -405,7 +405,7 @@ fn all_draws<I: Isa, P: Probe>(
             rank(gradient, &mut slots[slot], directions(i), stage, isa, probe);
         }
         if let Some((i, slot)) = at(2) {
-            pull(gradient, &mut slots[slot], directions(i), stage, isa, &mut objective);
+            gradients(gradient, &mut slots[slot], directions(i), stage, isa, &mut objective);
             probe.lap(Stage::Transport);
         }
         if let Some((i, slot)) = at(3) {
@@ -487,9 +487,9 @@ fn rank<I: Isa, P: Probe>(
     }
 }
 
-/// Turns the differences of projections to their targets into pulls on the samples.
+/// Turns the differences of projections to their targets into gradients on the samples.
 #[inline(always)]
-fn pull<I: Isa>(
+fn gradients<I: Isa>(
     gradient: &Gradient,
     slot: &mut DrawSlot,
     directions: &[Direction],
@@ -515,9 +515,9 @@ fn pull<I: Isa>(
         for (plane, theta) in planes.chunks_exact_mut(padded).zip(direction.theta) {
             let by = scale * theta;
             if nth == 0 {
-                plane.iter_mut().zip(&*wanted).for_each(|(pull, &d)| *pull = by * d);
+                plane.iter_mut().zip(&*wanted).for_each(|(sum, &d)| *sum = by * d);
             } else {
-                plane.iter_mut().zip(&*wanted).for_each(|(pull, &d)| *pull += by * d);
+                plane.iter_mut().zip(&*wanted).for_each(|(sum, &d)| *sum += by * d);
             }
         }
     }

@@ -15,7 +15,7 @@ pub enum Stage {
     Rank,
     /// Quantiles, and the differences to them.
     Transport,
-    /// Adding pulls to the patch.
+    /// Adding gradients to the patch.
     Scatter,
     /// Adding up the patches.
     Reduce,

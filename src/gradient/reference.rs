@@ -31,24 +31,24 @@ pub fn objective(tile: &Tile, levels: &LevelSets, draws: &[ReferenceDraw]) -> f6
     sum
 }
 
-/// The negative gradient of [`objective`]: for every coordinate in C order, the sum of its pulls.
-pub fn pulls(tile: &Tile, levels: &LevelSets, draws: &[ReferenceDraw]) -> Vec<f64> {
+/// The negative gradient of [`objective`]: for every coordinate in C order, the sum over its draws.
+pub fn gradient(tile: &Tile, levels: &LevelSets, draws: &[ReferenceDraw]) -> Vec<f64> {
     let dims = tile.shape().dims();
-    let mut pulls = vec![0.0; tile.shape().coordinates()];
+    let mut gradient = vec![0.0; tile.shape().coordinates()];
     visit(tile, levels, draws, |sample, direction, difference| {
         for k in 0..dims {
-            pulls[sample * dims + k] += difference * f64::from(direction.theta[k]);
+            gradient[sample * dims + k] += difference * f64::from(direction.theta[k]);
         }
     });
-    pulls
+    gradient
 }
 
-/// Calls `pull(sample, direction, target − projection)` for every sample of every draw.
+/// Calls `visit(sample, direction, target − projection)` for every sample of every draw.
 fn visit(
     tile: &Tile,
     levels: &LevelSets,
     draws: &[ReferenceDraw],
-    mut pull: impl FnMut(usize, &Direction, f64),
+    mut visit: impl FnMut(usize, &Direction, f64),
 ) {
     let shape = tile.shape();
     let size = IVec3::new(shape.width() as i32, shape.height() as i32, shape.frames() as i32);
@@ -82,7 +82,7 @@ fn visit(
             let mut order: Vec<usize> = (0..subset.len()).collect();
             order.sort_by(|&a, &b| projections[a].total_cmp(&projections[b]));
             for (&place, target) in order.iter().zip(targets) {
-                pull(subset[place], direction, target - projections[place]);
+                visit(subset[place], direction, target - projections[place]);
             }
         }
     }

@@ -92,7 +92,7 @@ fn coordinate(bits: u64) -> f32 {
 /// the bits above it. `key` names the coins; below [`BITS`] nothing is scrambled.
 fn scrambled(x: u32, key: u64) -> u32 {
     (0..BITS).fold(x, |scrambled, bit| {
-        // The bits above, with a 1 in front that tells apart prefixes of different lengths.
+        // The bits above, with a 1 in front that keeps apart prefixes of different lengths.
         let prefix = (1 << bit) | (u64::from(x) >> (32 - bit));
         let coin = (mix(key ^ mix(prefix)) >> 63) as u32;
         scrambled ^ (coin << (31 - bit))

@@ -32,7 +32,7 @@ pub struct ScoredTile {
 }
 
 impl ScoredTile {
-    /// Scores a tile three times; `scored` is told after each.
+    /// Scores a tile three times; `scored` is called after each.
     ///
     /// # Errors
     /// A kernel wider than the tile, or a number of integrands out of range.

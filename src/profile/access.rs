@@ -1,6 +1,6 @@
 //! The accesses of a descent's draws, in several arrangements of the tile and orders of the draws.
 //!
-//! [`Streams`] lays the arrays of a run out in an address space of its own, from 0 on, and tells
+//! [`Streams`] lays the arrays of a run out in an address space of its own, from 0 on, and lists
 //! every access of a step to a [`Listener`]; [`compare`] listens with the models of
 //! [`super::cache`]. One core is modelled, which does all blocks one after the other; with more,
 //! each has first and second caches of its own, and what they share is the third.
@@ -81,7 +81,7 @@ impl DrawOrder {
 pub enum Purpose {
     /// Reading the samples of a draw.
     Gather,
-    /// Adding the pulls of a draw.
+    /// Adding the gradients of a draw.
     Scatter,
     /// Copying what a cell sees, there and back.
     Copy,
@@ -109,7 +109,7 @@ pub trait Listener {
     /// One access.
     fn access(&mut self, access: Access);
 
-    /// All accesses of a draw were told.
+    /// All accesses of a draw were listed.
     fn drawn(&mut self) {}
 }
 
@@ -295,7 +295,7 @@ impl<'a> Streams<'a> {
 
     /// Tells the accesses of the rest of a step, which goes through all coordinates: its last
     /// ones, of which there are about `bytes` bytes in all arrays together. What is left out is
-    /// like what is told.
+    /// like what is listed.
     pub fn update(&self, bytes: u64, listener: &mut impl Listener) {
         let (shape, rows) = (self.subject.shape(), self.subject.rows());
         let (frames, pixel) = (shape.frames(), rows.pixel());

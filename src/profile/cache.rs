@@ -4,7 +4,7 @@
 //! write-allocate, and a level is asked only for what the one above it misses. Departures from
 //! cachegrind: an access that straddles lines counts once for each line, the number of sets need
 //! not be a power of two, and dirty lines are followed on their way to memory. Like cachegrind it
-//! has no prefetcher, no TLB and no second core. [`Reuse`] tells the misses of all fully
+//! has no prefetcher, no TLB and no second core. [`Reuse`] gives the misses of all fully
 //! associative sizes at once, and [`Footprint`] what a few accesses touch.
 
 use std::collections::HashMap;

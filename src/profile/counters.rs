@@ -2,7 +2,7 @@
 //!
 //! Virtual machines mostly hide these counters, containers forbid them, and only Linux has this
 //! way to them; so each is a number or a reason for none, and a run goes on without. The cache
-//! model ([`super::cache`]) is there for the machines that tell nothing.
+//! model ([`super::cache`]) is there for the machines that report nothing.
 
 #[cfg(all(target_os = "linux", any(target_arch = "x86_64", target_arch = "aarch64")))]
 #[path = "counters/linux.rs"]

@@ -1,7 +1,7 @@
-//! The machine at hand: its processor and its caches, as Linux tells them.
+//! The machine at hand: its processor and its caches, as Linux reports them.
 //!
-//! What the system does not tell, or tells in a way that cannot be, is replaced by the caches of
-//! a common server core and marked as assumed. Virtual machines often tell nothing, or not the
+//! What the system does not report, or reports in a way that cannot be, is replaced by the caches of
+//! a common server core and marked as assumed. Virtual machines often report nothing, or not the
 //! whole truth; so nothing here is trusted, and nothing that it says makes a run fail.
 
 use std::fs::File;
@@ -24,7 +24,7 @@ const LONGEST_LINE: u32 = 512;
 /// Most characters of a processor's name.
 const MOST_CHARACTERS: usize = 100;
 
-/// The caches that are assumed where nothing is told: those of a Zen core.
+/// The caches that are assumed where nothing is reported: those of a Zen core.
 const FALLBACK: [CacheLevel; 3] = [
     CacheLevel { level: 1, bytes: 32 << 10, ways: 8, line: 64 },
     CacheLevel { level: 2, bytes: 1 << 20, ways: 16, line: 64 },
@@ -36,7 +36,7 @@ const FALLBACK: [CacheLevel; 3] = [
 pub struct DataCache {
     /// Its geometry, which [`super::cache::Hierarchy`] accepts.
     pub geometry: CacheLevel,
-    /// Whether the geometry is a guess: the system tells none, or one that cannot be.
+    /// Whether the geometry is a guess: the system reports none, or one that cannot be.
     pub assumed: bool,
 }
 
@@ -88,12 +88,12 @@ fn name(cpuinfo: &str) -> Option<String> {
 
 /// The caches described in a folder; for each level the first one that can be.
 fn caches(folder: &Path) -> [DataCache; 3] {
-    let told: Vec<CacheLevel> =
-        (0..MOST_CACHES).filter_map(|i| told(&folder.join(format!("index{i}")))).collect();
+    let reported: Vec<CacheLevel> =
+        (0..MOST_CACHES).filter_map(|i| reported(&folder.join(format!("index{i}")))).collect();
     let mut line = 0;
     FALLBACK.map(|fallback| {
-        let fits = |told: &&CacheLevel| told.level == fallback.level && told.line >= line;
-        let cache = match told.iter().find(fits) {
+        let fits = |cache: &&CacheLevel| cache.level == fallback.level && cache.line >= line;
+        let cache = match reported.iter().find(fits) {
             Some(&geometry) => DataCache { geometry, assumed: false },
             None => {
                 let geometry = CacheLevel { line: fallback.line.max(line), ..fallback };
@@ -106,7 +106,7 @@ fn caches(folder: &Path) -> [DataCache; 3] {
 }
 
 /// The data cache described in a folder, if there is one and it can be.
-fn told(folder: &Path) -> Option<CacheLevel> {
+fn reported(folder: &Path) -> Option<CacheLevel> {
     let file = |name: &str| text(&folder.join(name)).map(|text| text.trim().to_owned());
     if !matches!(file("type")?.as_str(), "Data" | "Unified") {
         return None;

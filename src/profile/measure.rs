@@ -133,7 +133,7 @@ pub fn stages(
     Ok(StageTiming { timing, threads: table, clock, look })
 }
 
-/// A probe that tells apart which thread it is lent to.
+/// A probe that knows which thread it is lent to.
 #[derive(Debug, Clone)]
 struct ByThread {
     probes: Vec<StageProbe>,

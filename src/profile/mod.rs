@@ -3,7 +3,7 @@
 //! ```text
 //!  subject: the descent of a run, taken apart
 //!    ├─► measure: time of its steps ◄── stages, spans: what listens to the stages
-//!    ├─► crew: the same by worker processes: work, waiting, traffic, what going in step costs
+//!    ├─► workers: the same by worker processes: work, waiting, traffic, what going in step costs
 //!    ├─► traffic: samples, bytes and operations of each stage
 //!    └─► access: addresses, in several layouts and orders ──► cache: misses, a model
 //!  machine: its caches and cores ──► roofline: what it could do at best
@@ -23,8 +23,6 @@ pub mod access;
 pub mod advice;
 pub mod cache;
 pub mod counters;
-#[cfg(unix)]
-pub mod crew;
 pub mod machine;
 pub mod measure;
 pub mod picture;
@@ -38,3 +36,5 @@ pub mod subject;
 pub mod trace;
 pub mod traffic;
 mod units;
+#[cfg(unix)]
+pub mod workers;

@@ -11,8 +11,6 @@ use super::access::{self, Arrangement, Behaviour, DrawOrder};
 use super::advice::{self, Evidence};
 use super::cache::CacheError;
 use super::counters::{Counters, Event, Reading};
-#[cfg(unix)]
-use super::crew::CrewProfile;
 use super::machine::Machine;
 use super::measure::{self, StageTiming, Timing};
 use super::roofline::{Rates, Work};
@@ -20,12 +18,14 @@ use super::row::{self, StageRow};
 use super::subject::{Sizes, Subject};
 use super::traffic::{self, Subsets};
 use super::units::size;
+#[cfg(unix)]
+use super::workers::WorkersProfile;
 use crate::gradient::probe::Stage;
 use crate::gradient::simd::Simd;
 use crate::tile::TileShape;
 
 /// Version of the form of [`Profile`] as JSON.
-pub const FORMAT: u32 = 1;
+pub const FORMAT: u32 = 2;
 
 /// Why there is no profile.
 #[derive(Debug, Error)]
@@ -90,7 +90,7 @@ pub struct Profile {
     pub advice: Vec<String>,
     /// What worker processes make of it, if they were asked for.
     #[cfg(unix)]
-    pub crew: Option<CrewProfile>,
+    pub workers: Option<WorkersProfile>,
 }
 
 impl Profile {
@@ -193,7 +193,7 @@ impl Profile {
             rates,
             advice,
             #[cfg(unix)]
-            crew: None,
+            workers: None,
         })
     }
 }
@@ -366,8 +366,8 @@ impl fmt::Display for Profile {
         }
 
         #[cfg(unix)]
-        if let Some(crew) = &self.crew {
-            write!(f, "\n{crew}")?;
+        if let Some(workers) = &self.workers {
+            write!(f, "\n{workers}")?;
         }
         let mut advice = String::new();
         for sentence in &self.advice {

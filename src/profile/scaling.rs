@@ -47,7 +47,9 @@ pub mod report;
 use serde::Serialize;
 
 use super::subject::WORD;
-use crate::solver::{BLOCKS_PER_THREAD, HaloTraffic, ROWS_AT_A_TIME, StoragePlan, Team, around};
+use crate::solver::{
+    BLOCKS_PER_THREAD, HaloTraffic, Parallelism, ROWS_AT_A_TIME, StoragePlan, around,
+};
 use crate::tile::{Block, Partition, Piece, Regions, TooManyRanks};
 
 /// Most ranks that are all looked at.
@@ -311,7 +313,7 @@ impl Model {
     /// What surrounds the parts of a step.
     fn prediction(&self, partition: &Partition, regions: &Regions, parts: Breakdown) -> Prediction {
         let ranks = regions.all().len();
-        let team = Team { ranks: 1, threads: self.threads, regions: ranks, can_fail: false };
+        let parallelism = Parallelism { ranks, workers: 0, threads: self.threads };
         let place = regions.own().place();
         let traffic = HaloTraffic::of(regions, partition.reach());
         let tile = WORD as f64 * partition.shape().coordinates() as f64;
@@ -324,7 +326,7 @@ impl Model {
             halo_bytes: traffic.bytes,
             messages: traffic.messages,
             allreduce_bytes: 2.0 * (ranks - 1) as f64 / ranks as f64 * tile,
-            memory_bytes: StoragePlan::new(partition, regions.own(), team).bytes() as u64,
+            memory_bytes: StoragePlan::new(partition, regions.own(), parallelism).bytes() as u64,
         }
     }
 

@@ -29,7 +29,7 @@ pub struct Span {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Activity {
     /// All draws of a block.
-    Pull,
+    Gradient,
     /// One line of the tile.
     Update,
     /// A stage of one of them.
@@ -40,7 +40,7 @@ impl Activity {
     /// Its name as people read it.
     pub fn name(self) -> &'static str {
         match self {
-            Self::Pull => "pull",
+            Self::Gradient => "gradient",
             Self::Update => "update",
             Self::Stage(stage) => stage.name(),
         }
@@ -93,7 +93,7 @@ impl SpanProbe {
         let Some(stage) = self.stage.take() else { return };
         let work = match stage {
             Stage::Reduce | Stage::Adam => Activity::Update,
-            _ => Activity::Pull,
+            _ => Activity::Gradient,
         };
         self.push(work, self.begun);
     }
@@ -177,7 +177,7 @@ pub fn write_workers(
 fn event(trace: &mut Trace<impl Write>, first: u32, span: &Span) -> io::Result<()> {
     let details = match span.work {
         Activity::Stage(_) => Vec::new(),
-        Activity::Pull | Activity::Update => vec![("step", span.step.into())],
+        Activity::Gradient | Activity::Update => vec![("step", span.step.into())],
     };
     let thread = first + span.thread as u32;
     trace.complete(thread, span.work.name(), span.start, span.duration, &details)

@@ -9,11 +9,11 @@ use crate::gradient::probe::Probe;
 use crate::gradient::simd::Simd;
 use crate::gradient::{Gradient, Quantum, RunTables};
 use crate::kernel::Kernel;
-use crate::run::program::levels;
+use crate::run::plan::levels;
 use crate::solver::{BLOCKS_PER_THREAD, Descent, Options, OptionsError, Samples, start};
 use crate::tile::{Block, Layout, Partition, Region, Rows, TileShape};
 
-/// Bytes of a word: samples, pulls and moments are all of this size.
+/// Bytes of a word: samples, gradients and moments are all of this size.
 pub const WORD: u64 = size_of::<f32>() as u64;
 
 /// What a run's descent consists of.

@@ -10,8 +10,8 @@
 //! | gather | samples read, points written | 0 |
 //! | project | points taken apart; for each direction a sum in memory, read and written for each dimension | 2 p d |
 //! | rank | projections read, keys written, keys read and written once | 3 n + n log₂ n |
-//! | transport | targets written, placed, compared; pulls for each dimension; points put together | 4 n + 3 p + 2 p d |
-//! | scatter | pulls read, sums read and written; patches cleared | 3 for each number |
+//! | transport | targets written, placed, compared; gradients for each dimension; points put together | 4 n + 3 p + 2 p d |
+//! | scatter | gradients read, sums read and written; patches cleared | 3 for each number |
 //! | reduce | patches read, sums cleared, read and written | 1 for each word of a patch |
 //! | adam | sums read; samples and moments read and written | 16 for each coordinate |
 //!
@@ -122,7 +122,7 @@ fn draw_stages(subject: &Subject, n: usize, stages: &mut [Traffic; Stage::ALL.le
     );
     let log = (usize::BITS - n.saturating_sub(1).leading_zeros()) as usize;
     add(Stage::Rank, n, word * k * 2 * n, word * k * 2 * n, k * (3 * n + n * log));
-    // Targets, the place and the target of each rank, both sides of the difference, pulls (read
+    // Targets, the place and the target of each rank, both sides of the difference, gradients (read
     // again from the second direction on), and the points.
     let read = k * (2 * n + 2 * p + p * d) + (k - 1) * p * d + p * d;
     let written = k * (2 * n + p + p * d) + p * d;

@@ -22,7 +22,7 @@
   const said = document.getElementById('said');
   for (const button of document.querySelectorAll('button[data-copies]')) {
     const source = document.getElementById(button.dataset.copies);
-    const tell = (text) => {
+    const report = (text) => {
       button.textContent = text;
       said.textContent = text;
       setTimeout(() => {
@@ -33,10 +33,10 @@
     button.addEventListener('click', () => {
       const select = () => {
         getSelection().selectAllChildren(source);
-        tell('Selected');
+        report('Selected');
       };
       if (navigator.clipboard) {
-        navigator.clipboard.writeText(source.textContent).then(() => tell('Copied'), select);
+        navigator.clipboard.writeText(source.textContent).then(() => report('Copied'), select);
       } else {
         select();
       }

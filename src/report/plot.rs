@@ -1,7 +1,7 @@
 //! Line plots as SVG inside the page, so that they follow its theme.
 //!
 //! Colours come from the page's style (`s0` to `s7`), and each series has dashes of its own as
-//! well: no one has to tell colours apart.
+//! well: no one has to know colours apart.
 
 use maud::{Markup, html};
 

@@ -13,7 +13,7 @@ pub(super) enum Provenance {
     Unknown,
     /// There is one that cannot be read.
     Unreadable(SidecarError),
-    /// The sidecar, and whether the tile's file is the one that it tells of.
+    /// The sidecar, and whether the tile's file is the one that it describes.
     Known(Box<Sidecar>, Match),
 }
 

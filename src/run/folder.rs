@@ -23,8 +23,8 @@ use serde::de::DeserializeOwned;
 use thiserror::Error;
 
 use crate::format::checkpoint::{self, CheckpointError, Seal};
-use crate::format::numbers::{Put, Sink};
-use crate::format::write::Existing;
+use crate::format::numbers::{ArraySink, ArraySource};
+use crate::format::write::{self, Existing};
 use system::Directory;
 
 /// The file whose lock a run holds; it is empty.
@@ -168,6 +168,11 @@ impl FolderError {
         move |error| Self::Io { action, path: path.to_owned(), error }
     }
 
+    /// Whether there is no room: the disk or a quota is full, or files may not become so large.
+    pub fn is_full(&self) -> bool {
+        matches!(self, Self::Io { error, .. } if write::is_full(error))
+    }
+
     /// Whether something was gone when it was needed.
     fn is_gone(&self) -> bool {
         matches!(self, Self::Io { error, .. } if error.kind() == ErrorKind::NotFound)
@@ -227,7 +232,7 @@ impl Arrays {
     /// # Errors
     /// [`FolderError::Changed`] if the file is not what it was, what the system reports, and what
     /// `sink` does.
-    pub fn read<E: From<FolderError>>(&mut self, sink: &mut Sink<'_, E>) -> Result<(), E> {
+    pub fn read<E: From<FolderError>>(&mut self, sink: &mut ArraySink<'_, E>) -> Result<(), E> {
         let Self { path, file, seal } = self;
         file.rewind().map_err(FolderError::io("read", path))?;
         let read = checkpoint::read_again(file, seal, &mut |array, piece| {
@@ -265,12 +270,35 @@ impl RunFolder {
     /// [`FolderError`] makes the folder unfit.
     pub fn create(path: &Path, existing: Existing) -> Result<Self, FolderError> {
         let mut folder = Self::take(path, true)?;
-        if let (Some(number), Existing::Keep) = (folder.last, existing) {
-            return Err(FolderError::Unfinished { path: folder.path().to_owned(), number });
-        }
+        folder.check(existing)?;
         folder.clear(|_| true)?;
         folder.last = None;
         Ok(folder)
+    }
+
+    /// Checks that [`Self::create`] would take a folder now, and leaves no trace.
+    ///
+    /// # Errors
+    /// As for [`Self::create`].
+    pub fn probe(path: &Path, existing: Existing) -> Result<(), FolderError> {
+        let path = path.components().as_path();
+        let is_there = |path: &Path| path.symlink_metadata().is_ok();
+        let (was_there, was_locked) = (is_there(path), is_there(&path.join(LOCK)));
+        let folder = Self::take(path, true);
+        if let Ok(folder) = &folder
+            && !was_locked
+        {
+            folder.remove_file(LOCK)?;
+        }
+        if !was_there {
+            if matches!(folder, Err(FolderError::Io { .. })) {
+                // It was made, and could not be looked at.
+                let _ = fs::remove_file(path.join(LOCK));
+            }
+            // Somebody else may be in it by now.
+            let _ = fs::remove_dir(path);
+        }
+        folder?.check(existing)
     }
 
     /// Takes the folder of a run that is to go on; see [`Self::newest`].
@@ -302,7 +330,7 @@ impl RunFolder {
     ) -> Result<Loaded<H>, FolderError> {
         let mut damaged = Vec::new();
         for number in self.numbers()? {
-            let name = Entry::Checkpoint(number).name();
+            let name = RunFile::Checkpoint(number).name();
             let path = self.path().join(&name);
             let mut show = |array, piece: &[f32]| {
                 look(number, array, piece);
@@ -333,23 +361,23 @@ impl RunFolder {
         }
     }
 
-    /// Saves a checkpoint, and then removes all but the last two. Its arrays come in pieces, see
+    /// Saves a checkpoint, and then removes all but the last two. See
     /// [`checkpoint::write`].
     ///
     /// Numbers rise: each must exceed those before, and after [`Self::newest`] the one that was
     /// read.
     ///
     /// # Errors
-    /// Another number, and what the system or `array` reports. If the checkpoint cannot be made,
+    /// Another number, and what the system or `arrays` reports. If the checkpoint cannot be made,
     /// the older ones stay.
     pub fn save<H: Serialize>(
         &mut self,
         number: u64,
         head: &H,
         lengths: &[u64],
-        array: &mut dyn FnMut(usize, &mut Put<'_>) -> io::Result<()>,
+        arrays: &dyn ArraySource,
     ) -> Result<(), FolderError> {
-        self.put(number, |mut out| checkpoint::write(&mut out, head, lengths, array))
+        self.put(number, |mut out| checkpoint::write(&mut out, head, lengths, arrays))
     }
 
     /// Removes what the run has made, and the folder if that leaves it empty and the system lets
@@ -375,9 +403,9 @@ impl RunFolder {
             return Err(FolderError::Number { path: self.path().to_owned(), number, last });
         }
         // Those of an earlier run only take space.
-        self.clear(|entry| matches!(entry, Entry::Partial(_)))?;
-        let name = Entry::Checkpoint(number).name();
-        let partial = Entry::Partial(number).name();
+        self.clear(|entry| matches!(entry, RunFile::Partial(_)))?;
+        let name = RunFile::Checkpoint(number).name();
+        let partial = RunFile::Partial(number).name();
         let written = self.directory.create(&partial).and_then(|file| {
             let mut buffer = BufWriter::new(file);
             content(&mut buffer)?;
@@ -402,7 +430,17 @@ impl RunFolder {
         // Higher numbers are those of damaged ones that the run did not go on from.
         let kept: Vec<u64> =
             self.numbers()?.into_iter().filter(|kept| *kept <= number).take(KEPT).collect();
-        self.clear(|entry| matches!(entry, Entry::Checkpoint(number) if !kept.contains(&number)))
+        self.clear(|entry| matches!(entry, RunFile::Checkpoint(number) if !kept.contains(&number)))
+    }
+
+    /// An error if an unfinished run is there and is to be kept.
+    fn check(&self, existing: Existing) -> Result<(), FolderError> {
+        match (self.last, existing) {
+            (Some(number), Existing::Keep) => {
+                Err(FolderError::Unfinished { path: self.path().to_owned(), number })
+            }
+            _ => Ok(()),
+        }
     }
 
     /// Locks a folder, `new` to be made if it is not there.
@@ -438,7 +476,7 @@ impl RunFolder {
             return Err(FolderError::NoRun { path: path.to_owned() });
         }
         // Checkpoints alone are a run's, too: it may have been copied, or is just being removed.
-        let foreign = names.iter().find(|name| Entry::of(name.to_str()).is_none());
+        let foreign = names.iter().find(|name| RunFile::of(name.to_str()).is_none());
         if let (Some(found), false) = (foreign, names.iter().any(|name| name == LOCK)) {
             let found = found.to_string_lossy().into_owned();
             return Err(FolderError::Foreign { path: path.to_owned(), found });
@@ -470,9 +508,9 @@ impl RunFolder {
     }
 
     /// The run's files but for the lock.
-    fn entries(&self) -> Result<Vec<Entry>, FolderError> {
+    fn entries(&self) -> Result<Vec<RunFile>, FolderError> {
         let names = self.directory.names().map_err(FolderError::io("list", self.path()))?;
-        Ok(names.iter().filter_map(|name| Entry::of(name.to_str())).collect())
+        Ok(names.iter().filter_map(|name| RunFile::of(name.to_str())).collect())
     }
 
     /// The numbers of all checkpoints, newest first.
@@ -481,8 +519,8 @@ impl RunFolder {
             .entries()?
             .into_iter()
             .filter_map(|entry| match entry {
-                Entry::Checkpoint(number) => Some(number),
-                Entry::Partial(_) => None,
+                RunFile::Checkpoint(number) => Some(number),
+                RunFile::Partial(_) => None,
             })
             .collect();
         numbers.sort_unstable_by(|a, b| b.cmp(a));
@@ -490,7 +528,7 @@ impl RunFolder {
     }
 
     /// Removes those of the run's files that `which` chooses.
-    fn clear(&self, which: impl Fn(Entry) -> bool) -> Result<(), FolderError> {
+    fn clear(&self, which: impl Fn(RunFile) -> bool) -> Result<(), FolderError> {
         for entry in self.entries()?.into_iter().filter(|entry| which(*entry)) {
             self.remove_file(&entry.name())?;
         }
@@ -523,14 +561,14 @@ fn make(path: &Path) -> Result<(), FolderError> {
 
 /// A file of a run, by its name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Entry {
+enum RunFile {
     /// `checkpoint-12`
     Checkpoint(u64),
     /// `checkpoint-12.partial`
     Partial(u64),
 }
 
-impl Entry {
+impl RunFile {
     fn of(name: Option<&str>) -> Option<Self> {
         let number = name?.strip_prefix(CHECKPOINT)?;
         let entry = match number.strip_suffix(PARTIAL) {
@@ -555,6 +593,7 @@ mod tests {
     use tempfile::TempDir;
 
     use super::*;
+    use crate::format::numbers::NumberSink;
 
     /// A place for a run, and the folder around it.
     fn place() -> (TempDir, PathBuf) {
@@ -572,13 +611,14 @@ mod tests {
         drop(create(path).unwrap());
         for number in numbers {
             let mut file = File::create(path.join(format!("checkpoint-{number}"))).unwrap();
-            let array = &mut |_, put: &mut Put<'_>| put(&[*number as f32]);
+            let array = &|_: usize, sink: &mut dyn NumberSink| sink.put(&[*number as f32]);
             checkpoint::write(&mut file, &number.to_string(), &[1], array).unwrap();
         }
     }
 
     fn save(folder: &mut RunFolder, number: u64) -> Result<(), FolderError> {
-        folder.save(number, &number.to_string(), &[1], &mut |_, put| put(&[number as f32]))
+        let array = |_: usize, sink: &mut dyn NumberSink| sink.put(&[number as f32]);
+        folder.save(number, &number.to_string(), &[1], &array)
     }
 
     fn newest(path: &Path) -> Result<Loaded<String>, FolderError> {
@@ -657,6 +697,47 @@ mod tests {
         drop(folder);
         drop(create(&path).unwrap());
         drop(RunFolder::open(&path).unwrap());
+    }
+
+    #[test]
+    fn a_folder_is_checked_without_a_trace() {
+        let (around, path) = place();
+        let probe = |path: &Path| RunFolder::probe(path, Existing::Keep);
+        for spelling in ["run", "run/", "run/.", "./run"] {
+            probe(&around.path().join(spelling)).unwrap();
+            assert!(names(around.path()).is_empty());
+        }
+        fs::create_dir(&path).unwrap();
+        probe(&path).unwrap();
+        assert!(names(&path).is_empty());
+        // The lock of a run that is over was there before, and so were files of others.
+        left(&path, &[]);
+        fs::write(path.join("notes"), "mine").unwrap();
+        probe(&path).unwrap();
+        assert_eq!(names(&path), [LOCK, "notes"]);
+        fs::remove_file(path.join(LOCK)).unwrap();
+        assert!(matches!(probe(&path), Err(FolderError::Foreign { .. })));
+        assert_eq!(names(&path), ["notes"]);
+        fs::remove_file(path.join("notes")).unwrap();
+
+        left(&path, &[5]);
+        for lock in [true, false] {
+            if !lock {
+                fs::remove_file(path.join(LOCK)).unwrap();
+            }
+            let before = names(&path);
+            let error = probe(&path).unwrap_err();
+            assert!(matches!(error, FolderError::Unfinished { number: 5, .. }), "{error}");
+            RunFolder::probe(&path, Existing::Replace).unwrap();
+            assert_eq!(names(&path), before);
+        }
+        let mut folder = RunFolder::open(&path).unwrap();
+        assert!(matches!(probe(&path), Err(FolderError::InUse { .. })));
+        save(&mut folder, 6).unwrap();
+        assert_eq!(names(&path), ["checkpoint-5", "checkpoint-6", LOCK]);
+        assert!(matches!(probe(&around.path().join("no/run")), Err(FolderError::NoFolder { .. })));
+        assert!(matches!(probe(Path::new("")), Err(FolderError::NoName)));
+        assert_eq!(names(around.path()), ["run"]);
     }
 
     #[cfg(unix)]
@@ -873,14 +954,18 @@ mod tests {
         let path_of_it = path.join("checkpoint-3").display().to_string();
         assert!(error.to_string().contains(&path_of_it), "{error}");
         assert!(matches!(error, FolderError::Io { action: "write", .. }));
+        assert!(error.is_full());
         assert_eq!(names(&path), before);
         // A head that cannot be encoded.
-        let endless = folder.save(3, &Endless, &[], &mut |_, _| Ok(())).unwrap_err();
+        let none = &|_: usize, _: &mut dyn NumberSink| Ok(());
+        let endless = folder.save(3, &Endless, &[], none).unwrap_err();
         assert!(endless.to_string().contains("cannot be encoded"), "{endless}");
+        assert!(!endless.is_full());
         // Arrays that are shorter than they should be, and one that cannot be had.
-        let short = folder.save(3, &"3", &[2], &mut |_, put| put(&[3.0])).unwrap_err();
+        let three = &|_: usize, sink: &mut dyn NumberSink| sink.put(&[3.0]);
+        let short = folder.save(3, &"3", &[2], three).unwrap_err();
         assert!(short.to_string().contains("1 numbers instead of 2"), "{short}");
-        let gone = &mut |_, _: &mut Put<'_>| Err(io::Error::other("nobody has it"));
+        let gone = &|_: usize, _: &mut dyn NumberSink| Err(io::Error::other("nobody has it"));
         let gone = folder.save(3, &"3", &[2], gone).unwrap_err();
         assert!(gone.to_string().contains("nobody has it"), "{gone}");
         for number in [0, 1, 2] {
@@ -1037,10 +1122,10 @@ mod tests {
 
         #[test]
         fn names_say_what_they_are(number in any::<u64>(), noise in "(checkpoint-)?[0-9+.]{0,21}(.partial)?") {
-            for entry in [Entry::Checkpoint(number), Entry::Partial(number)] {
-                prop_assert_eq!(Entry::of(Some(&entry.name())), Some(entry));
+            for entry in [RunFile::Checkpoint(number), RunFile::Partial(number)] {
+                prop_assert_eq!(RunFile::of(Some(&entry.name())), Some(entry));
             }
-            if let Some(entry) = Entry::of(Some(&noise)) {
+            if let Some(entry) = RunFile::of(Some(&noise)) {
                 prop_assert_eq!(entry.name(), noise);
             }
         }

@@ -1,29 +1,30 @@
 //! Runs: where the solver meets files, processes, signals and people.
 //!
 //! ```text
-//!  phases  (threads of this process) ─┐                   ┌─► solver, round by round
-//!  crew    (worker processes)        ─┼─► program ────────┤
-//!  worker  (one of them)             ─┤                   └─► Watch: before each step
-//!  ranks   (of a cluster)            ─┘
+//!  plan + start ──► driver: one loop ──► backend ─┬─ threads ─┬─► steps ──► solver, round by round
+//!                     │                           ├─ ranks ───┤
+//!                     └─► watch ─┬─► observer     └─ workers ─┘ (in processes of their own)
+//!                                └─► checkpointer ──► folder
 //! ```
 //!
-//! [`program`] is what every rank does, [`begin`] what it begins with, [`travel`] how that comes to
-//! regions and back to files, [`observer`] how a run is watched and stopped, [`keeper`] writes checkpoints to a [`folder`] and reads them again,
-//! [`signals`] turns Ctrl-C and SIGTERM into a stop, [`memory`] foresees what a run needs, and
-//! [`outputs`] writes what it leaves behind.
+//! [`plan`] says what to do and [`start`] what from; [`driver`] follows it by one of the
+//! [`backend`]s, which differ in who does the [`steps`]. Between two steps [`watch`] reports to the
+//! [`observer`], stops the run for it, and has the [`checkpointer`] write to the [`folder`].
+//! [`gather`] takes tiles to the regions of ranks and back, [`signals`] turns signals into a stop,
+//! [`memory`] foresees what a run needs, and [`output`] writes its files.
 
-pub mod begin;
-#[cfg(unix)]
-pub mod crew;
+pub mod backend;
+pub mod checkpointer;
+pub mod driver;
+pub mod error;
 pub mod folder;
-pub mod keeper;
+pub mod gather;
 pub mod memory;
 pub mod observer;
-pub mod outputs;
-pub mod phases;
-pub mod program;
-pub mod ranks;
+pub mod output;
+pub mod plan;
 pub mod signals;
-pub mod travel;
-#[cfg(unix)]
-pub mod worker;
+pub mod start;
+pub mod steps;
+pub mod summary;
+pub mod watch;

@@ -1,4 +1,4 @@
-//! How a run is watched, and how it is told to stop.
+//! How a run is observed, and how it is asked to stop.
 
 use crate::solver::{Phase, StopReason};
 
@@ -17,26 +17,26 @@ pub struct Progress {
     pub workers: Option<(usize, usize)>,
 }
 
-/// Someone who watches a run and may end it. Called between steps, never by two threads at once.
+/// Someone who observes a run and may end it. Called between steps, never by two threads at once.
 pub trait Observer {
-    /// Is told where the run stands.
+    /// Hears where the run stands.
     fn progress(&mut self, progress: Progress);
 
-    /// Is told in words of something out of the ordinary that the run has coped with.
-    fn tell(&mut self, message: &str);
+    /// Hears in words of something out of the ordinary that the run has coped with.
+    fn report(&mut self, message: &str);
 
     /// Whether the run should end now: it then does the uniformity step and returns its tile.
     fn stop(&self) -> Option<StopReason>;
 }
 
-/// Watches nothing and never stops.
+/// Observes nothing and never stops.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Unobserved;
 
 impl Observer for Unobserved {
     fn progress(&mut self, _: Progress) {}
 
-    fn tell(&mut self, _: &str) {}
+    fn report(&mut self, _: &str) {}
 
     fn stop(&self) -> Option<StopReason> {
         None

@@ -76,20 +76,20 @@ pub struct Factors {
     epsilon: f32,
 }
 
-/// A gradient that points downhill.
-pub trait Pull: Copy {
+/// A component of a gradient that points downhill.
+pub trait Component: Copy {
     /// Its value in gradient units.
     fn value(self) -> f32;
 }
 
-impl Pull for i32 {
+impl Component for i32 {
     #[inline(always)]
     fn value(self) -> f32 {
         self as f32
     }
 }
 
-impl Pull for f32 {
+impl Component for f32 {
     #[inline(always)]
     fn value(self) -> f32 {
         self
@@ -99,11 +99,11 @@ impl Pull for f32 {
 impl Factors {
     /// A coordinate and its moments after the step.
     #[inline(always)]
-    fn step<P: Pull>(self, pull: P, x: f32, m: f32, v: f32) -> [f32; 3] {
+    fn step<P: Component>(self, gradient: P, x: f32, m: f32, v: f32) -> [f32; 3] {
         let Self { unit, beta1, beta2, weight1, weight2, rate, second: correction, epsilon } = self;
-        let pull = pull.value() * unit;
-        let m = beta1 * m + weight1 * pull;
-        let v = beta2 * v + weight2 * (pull * pull);
+        let gradient = gradient.value() * unit;
+        let m = beta1 * m + weight1 * gradient;
+        let v = beta2 * v + weight2 * (gradient * gradient);
         let move_by = rate * m / ((v * correction).sqrt() + epsilon);
         [clamp_coordinate(x + move_by), m, v]
     }
@@ -114,7 +114,7 @@ pub struct Update<'a, P> {
     /// What the step does.
     pub factors: Factors,
     /// Downhill gradient.
-    pub pulls: &'a [P],
+    pub gradients: &'a [P],
     /// Coordinates.
     pub samples: &'a mut [f32],
     /// First moments.
@@ -123,15 +123,15 @@ pub struct Update<'a, P> {
     pub second: &'a mut [f32],
 }
 
-impl<P: Pull> Vectorized for Update<'_, P> {
+impl<P: Component> Vectorized for Update<'_, P> {
     type Output = ();
 
     #[inline(always)]
     fn run<I: Isa>(self, _: I) {
-        let n = self.pulls.len();
+        let n = self.gradients.len();
         let (x, m, v) = (&mut self.samples[..n], &mut self.first[..n], &mut self.second[..n]);
         for i in 0..n {
-            [x[i], m[i], v[i]] = self.factors.step(self.pulls[i], x[i], m[i], v[i]);
+            [x[i], m[i], v[i]] = self.factors.step(self.gradients[i], x[i], m[i], v[i]);
         }
     }
 }
@@ -141,24 +141,24 @@ pub struct UpdateTo<'a, P> {
     /// What the step does.
     pub factors: Factors,
     /// Downhill gradient.
-    pub pulls: &'a [P],
+    pub gradients: &'a [P],
     /// Coordinates, first and second moments.
     pub from: [&'a [f32]; 3],
     /// The same after the step.
     pub to: [&'a mut [f32]; 3],
 }
 
-impl<P: Pull> Vectorized for UpdateTo<'_, P> {
+impl<P: Component> Vectorized for UpdateTo<'_, P> {
     type Output = ();
 
     #[inline(always)]
     fn run<I: Isa>(self, _: I) {
-        let Self { factors, pulls, from, to } = self;
-        let n = pulls.len();
+        let Self { factors, gradients, from, to } = self;
+        let n = gradients.len();
         let [x, m, v] = from.map(|slice| &slice[..n]);
         let [to_x, to_m, to_v] = to.map(|slice| &mut slice[..n]);
         for i in 0..n {
-            [to_x[i], to_m[i], to_v[i]] = factors.step(pulls[i], x[i], m[i], v[i]);
+            [to_x[i], to_m[i], to_v[i]] = factors.step(gradients[i], x[i], m[i], v[i]);
         }
     }
 }
@@ -182,13 +182,13 @@ mod tests {
     fn moves_equal_the_formulas_of_the_paper_in_f64() {
         for (beta1, beta2) in [(0.9, 0.99), (MAX_BETA, 0.99), (0.5, MAX_BETA)] {
             let options = AdamOptions { beta1, beta2, ..OPTIONS };
-            let pulls = [3.0_f32, -0.2, 0.0, 5.0];
+            let gradients = [3.0_f32, -0.2, 0.0, 5.0];
             let (mut x, mut m, mut v) = (vec![0.5_f32; 4], vec![0.0; 4], vec![0.0; 4]);
             let (mut slow_x, mut slow_m, mut slow_v) = ([0.5_f64; 4], [0.0; 4], [0.0; 4]);
             for step in 0..5 {
                 Update {
                     factors: options.factors(step, 5, 1.0),
-                    pulls: &pulls,
+                    gradients: &gradients,
                     samples: &mut x,
                     first: &mut m,
                     second: &mut v,
@@ -196,7 +196,7 @@ mod tests {
                 .run(Plain);
                 let t = step as i32 + 1;
                 for i in 0..4 {
-                    let g = f64::from(pulls[i]);
+                    let g = f64::from(gradients[i]);
                     slow_m[i] = beta1 * slow_m[i] + (1.0 - beta1) * g;
                     slow_v[i] = beta2 * slow_v[i] + (1.0 - beta2) * g * g;
                     let m_hat = slow_m[i] / (1.0 - beta1.powi(t));
@@ -221,7 +221,7 @@ mod tests {
         let mut x = [0.001, 0.999];
         Update {
             factors: OPTIONS.factors(0, 1, 1.0),
-            pulls: &[-1_i32, 1],
+            gradients: &[-1_i32, 1],
             samples: &mut x,
             first: &mut [0.0; 2],
             second: &mut [0.0; 2],

@@ -1,4 +1,4 @@
-//! What travels between the ranks of a cluster in each step: samples to where draws see them, and
+//! What the ranks of a cluster send each other in each step: samples to where draws see them, and
 //! gradients to where the samples are. Nothing else does.
 //!
 //! Both are the same pieces of the tile, in opposite directions; all pieces between two ranks are
@@ -7,8 +7,8 @@
 
 use std::sync::Mutex;
 
-use perceptile_cluster::World;
-use perceptile_cluster::peers::{Message, Peers, Transfer};
+use perceptile_cluster::Worker;
+use perceptile_cluster::communicator::{Communicator, Message, Transfer};
 use rayon::prelude::*;
 
 use crate::gradient::simd::{Isa, Simd, Vectorized};
@@ -54,12 +54,12 @@ pub struct HaloTraffic {
 
 impl HaloTraffic {
     /// What one rank sends in a step whose draws reach so far. Pieces that a rank has of its own
-    /// halo, around the torus, do not travel.
+    /// halo, around the torus, do not gather.
     pub fn of(regions: &Regions, reach: Reach) -> Self {
         let words = Words::of(regions);
         let mut all = words.messages(&regions.halo(reach), |piece| piece.owner);
         all.extend(words.messages(&regions.lent(reach), |piece| piece.seer));
-        let away = all.iter().filter(|message| message.peer != regions.rank());
+        let away = all.iter().filter(|message| message.rank != regions.rank());
         Self { bytes: Words::bytes(&all, regions.rank()), messages: away.count() as u64 }
     }
 }
@@ -80,12 +80,12 @@ impl Words {
         piece.pixels(self.frames) * self.pixel
     }
 
-    /// The messages that pieces travel in, which are sorted by the rank at the other end.
+    /// The messages that pieces gather in, which are sorted by the rank at the other end.
     fn messages(self, pieces: &[Piece], other: fn(&Piece) -> usize) -> Vec<Message> {
         pieces
             .chunk_by(|a, b| other(a) == other(b))
             .map(|chunk| Message {
-                peer: other(&chunk[0]),
+                rank: other(&chunk[0]),
                 words: chunk.iter().map(|piece| self.piece(piece)).sum(),
             })
             .collect()
@@ -93,7 +93,7 @@ impl Words {
 
     /// Bytes of messages to or from other ranks than this one.
     fn bytes(messages: &[Message], rank: usize) -> u64 {
-        let others = messages.iter().filter(|message| message.peer != rank);
+        let others = messages.iter().filter(|message| message.rank != rank);
         others.map(|message| 4 * message.words as u64).sum()
     }
 
@@ -144,13 +144,13 @@ const HELD: &str = "nobody panics with a transfer";
 
 impl SampleHalo {
     /// The halo of rows of a rank's region.
-    pub fn new(peers: &dyn Peers, regions: &Regions, reach: Reach) -> Self {
+    pub fn new(communicator: &dyn Communicator, regions: &Regions, reach: Reach) -> Self {
         let (seen, lent) = (regions.halo(reach), regions.lent(reach));
         let words = Words::of(regions);
         let outgoing = words.messages(&lent, |piece| piece.seer);
         let incoming = words.messages(&seen, |piece| piece.owner);
-        let bytes = Words::bytes(&incoming, peers.rank());
-        let transfer = Mutex::new(peers.transfer(&outgoing, &incoming));
+        let bytes = Words::bytes(&incoming, communicator.rank());
+        let transfer = Mutex::new(communicator.transfer(&outgoing, &incoming));
         Self { transfer, seen, lent, words, bytes }
     }
 
@@ -168,11 +168,11 @@ impl SampleHalo {
     }
 
     /// Waits for the samples that others have sent, and puts them where draws see them.
-    pub fn receive(&mut self, world: &World, rows: &Rows, samples: &mut [f32]) {
+    pub fn receive(&mut self, worker: &Worker, rows: &Rows, samples: &mut [f32]) {
         let Self { transfer, seen, words, bytes, .. } = self;
         let transfer = transfer.get_mut().expect(HELD);
-        world.waiting(|| transfer.finish());
-        world.read_from_others(*bytes);
+        worker.waiting(|| transfer.finish());
+        worker.read_from_others(*bytes);
         for (piece, from) in seen.iter().zip(words.cut(transfer.incoming(), seen)) {
             for (i, row) in from.chunks_exact(words.row(piece)).enumerate() {
                 let to = rows.word_of(piece.seen, i / words.frames, i % words.frames);
@@ -194,7 +194,12 @@ impl SampleHalo {
 
 impl GradientHalo {
     /// The halo of the patches of a rank's blocks.
-    pub fn new(peers: &dyn Peers, regions: &Regions, reach: Reach, blocks: &[Block]) -> Self {
+    pub fn new(
+        communicator: &dyn Communicator,
+        regions: &Regions,
+        reach: Reach,
+        blocks: &[Block],
+    ) -> Self {
         let (seen, lent) = (regions.halo(reach), regions.lent(reach));
         let words = Words::of(regions);
         let outgoing = words.messages(&seen, |piece| piece.owner);
@@ -204,8 +209,8 @@ impl GradientHalo {
             Overlap::with_window(tile, piece.seen, blocks.iter().map(Block::window))
         };
         let overlaps = seen.iter().map(overlap).collect();
-        let transfer = Mutex::new(peers.transfer(&outgoing, &incoming));
-        let bytes = Words::bytes(&incoming, peers.rank());
+        let transfer = Mutex::new(communicator.transfer(&outgoing, &incoming));
+        let bytes = Words::bytes(&incoming, communicator.rank());
         Self { transfer, seen, lent, overlaps, words, bytes }
     }
 
@@ -228,10 +233,10 @@ impl GradientHalo {
     }
 
     /// Waits for what others have sent.
-    pub fn receive(&mut self, world: &World) {
+    pub fn receive(&mut self, worker: &Worker) {
         let transfer = self.transfer.get_mut().expect(HELD);
-        world.waiting(|| transfer.finish());
-        world.read_from_others(self.bytes);
+        worker.waiting(|| transfer.finish());
+        worker.read_from_others(self.bytes);
     }
 
     /// Calls `then` with the patches that were received, in the order of [`Self::windows`].

@@ -2,15 +2,17 @@
 //!
 //! [`Options`] say what to make and [`start`] where to begin; [`Descent`] is the paper's method, one
 //! step at a time, with [`adam`]; [`polish`] goes beyond it; [`warp`] makes the tile uniform. All
-//! of them are rounds of jobs on a [`Storage`] that the ranks of a world share, numbered by
+//! of them are rounds of jobs on a [`Storage`] that the ranks of a worker share, numbered by
 //! [`rounds`]; the loop knows neither files nor screen. Phases hand samples on in line order
 //! ([`Samples`]). Worlds that share no memory have a region of the tile each, and send each other
 //! halos.
 
 pub mod adam;
+pub mod faults;
 mod halo;
 mod histograms;
 mod options;
+mod parallelism;
 pub mod polish;
 pub mod rounds;
 mod samples;
@@ -25,10 +27,10 @@ pub mod warp;
 pub use halo::HaloTraffic;
 pub(crate) use halo::{GradientHalo, ROWS_AT_A_TIME, SampleHalo};
 pub use options::{MAX_POLISH_TAPS, Options, OptionsError, Preset, Start};
+pub use parallelism::{BLOCKS_PER_THREAD, Parallelism};
 pub use samples::Samples;
-pub(crate) use samples::tile_of;
-pub use state::{Onlooker, Snapshot};
+pub use state::SharedSnapshot;
 pub use step::Descent;
 pub(crate) use step::around;
-pub use storage::{BLOCKS_PER_THREAD, Record, Recorded, Storage, StoragePlan, Team};
+pub use storage::{Record, Recorded, Storage, StoragePlan};
 pub use summary::{Phase, StopReason, Summary};

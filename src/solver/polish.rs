@@ -18,18 +18,18 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use glam::IVec3;
-use perceptile_cluster::faults::Place;
 use perceptile_cluster::shared::{MapError, Parts, Section, Words};
-use perceptile_cluster::{Ends, World};
+use perceptile_cluster::{Ends, Worker};
 use serde::{Deserialize, Serialize};
 
+use crate::format::numbers::{ArraySource, NumberSink};
 use crate::gradient::simd::{Isa, Simd, Vectorized};
 use crate::kernel::KernelTaps;
 use crate::solver::adam::AdamOptions;
 use crate::solver::rounds::{self, Part};
-use crate::solver::state::{Line, Snapshot, State, by_line};
-use crate::solver::storage::{Found, Record, Storage, StoragePlan, Team};
-use crate::solver::{Phase, Samples};
+use crate::solver::state::{Line, State, by_line};
+use crate::solver::storage::{Objectives, Record, Storage, StoragePlan};
+use crate::solver::{Parallelism, Phase, Samples, faults};
 use crate::tile::{Cell, Partition, Reach, Regions, Rows, TileShape, Window};
 
 /// How the polish is done.
@@ -90,24 +90,24 @@ fn offsets(classes: &[(f64, &KernelTaps)], frames: usize) -> Vec<(IVec3, f64)> {
 
 /// Full-batch descent on the energy.
 pub struct Polish {
-    world: Arc<World>,
+    worker: Arc<Worker>,
     options: PolishOptions,
     simd: Simd,
     state: State,
     pairs: Vec<Pair>,
     /// Weight of a sample with itself, which other samples of its pixel share.
     own: f32,
-    /// Σ over all pairs of weights, for the pull of the uniform density.
+    /// Σ over all pairs of weights, for the gradient of the uniform density.
     total: f32,
     density: Density,
     /// Downhill gradient in the order of the rows, without copies.
-    pulls: Parts<f32>,
+    gradients: Parts<f32>,
     /// The lines that are worked on together, of which the first so many see nobody else's
     /// samples.
     bands: Vec<Range<usize>>,
     inside: usize,
-    found: Arc<Found>,
-    makers: Arc<Words>,
+    objectives: Arc<Objectives>,
+    owners: Arc<Words>,
     record: Arc<Record>,
     counts: [Section; 2],
 }
@@ -138,17 +138,17 @@ impl Polish {
     ) -> Result<Self, MapError> {
         let regions = Regions::whole(shape);
         let partition = Partition::new(shape, Reach::default());
-        let plan = StoragePlan::new(&partition, regions.own(), Team::alone());
-        let (world, mut storage) = plan.with_polish(reach(&all)).private()?;
+        let plan = StoragePlan::new(&partition, regions.own(), Parallelism::threads());
+        let (worker, mut storage) = plan.with_polish(reach(&all)).private()?;
         storage.tile_mut(shape).copy_from_slice(&samples.words);
-        Ok(Self::on(world, storage, &regions, all, options, (simd, 0)))
+        Ok(Self::on(worker, storage, &regions, all, options, (simd, 0)))
     }
 
     /// Prepares the descent from the samples of a region that lie in the storage, by all ranks of
-    /// a world and of its peers; from step `first_step` on. After step 0, it goes on with the
+    /// a worker and of its communicator; from step `first_step` on. After step 0, it goes on with the
     /// moments that are there.
     pub fn enter(
-        world: Arc<World>,
+        worker: Arc<Worker>,
         storage: Storage,
         regions: &Regions,
         classes: &[(f64, &KernelTaps)],
@@ -156,11 +156,11 @@ impl Polish {
         (simd, first_step): (Simd, u32),
     ) -> Self {
         let all = offsets(classes, regions.own().tile().frames());
-        Self::on(world, storage, regions, all, options, (simd, first_step))
+        Self::on(worker, storage, regions, all, options, (simd, first_step))
     }
 
     fn on(
-        world: Arc<World>,
+        worker: Arc<Worker>,
         storage: Storage,
         regions: &Regions,
         all: Vec<(IVec3, f64)>,
@@ -175,11 +175,11 @@ impl Polish {
             .filter(|(o, _)| *o != IVec3::ZERO)
             .map(|(offset, g)| Pair { offset, weight: g as f32 })
             .collect();
-        let Storage { samples, first, second, work, counts, found, makers, record } = storage;
+        let Storage { samples, first, second, work, counts, objectives, owners, record } = storage;
         let sections = [samples, first, second];
         let line = shape.coordinates() / shape.height();
         let seen = (regions, reach);
-        let state = State::enter(&world, Phase::Polish, seen, sections, work.slice(), first_step);
+        let state = State::enter(&worker, Phase::Polish, seen, sections, work.slice(), first_step);
         let mut bands: Vec<Range<usize>> =
             (0..shape.height()).step_by(BAND).map(|y| y..(y + BAND).min(shape.height())).collect();
         // Those that see samples of others come last.
@@ -192,7 +192,7 @@ impl Polish {
         let inside = bands.iter().take_while(|band| !touches(band)).count();
         let part = |band: &Range<usize>| std::iter::once(band.start * line..band.end * line);
         Self {
-            world,
+            worker,
             options,
             simd,
             state,
@@ -200,11 +200,11 @@ impl Polish {
             own: own as f32,
             total: (total * shape.spp() as f64) as f32,
             density: Density::new(),
-            pulls: work.parts(bands.iter().map(|band| part(band).collect()).collect()),
+            gradients: work.parts(bands.iter().map(|band| part(band).collect()).collect()),
             bands,
             inside,
-            found,
-            makers,
+            objectives,
+            owners,
             record,
             counts,
         }
@@ -212,35 +212,41 @@ impl Polish {
 
     /// Hands the samples on to the next phase.
     pub fn leave(self) -> Storage {
-        let Self { world, state, pulls, found, makers, record, counts, .. } = self;
+        let Self { worker, state, gradients, objectives, owners, record, counts, .. } = self;
         let shape = state.rows.shape();
         let words = state.rows.own() * shape.frames();
-        let mut plain = by_line(pulls.into_section(), words, shape.height());
-        let [samples, first, second] = state.leave(&world, Phase::Polish, &mut plain);
+        let mut plain = by_line(gradients.into_section(), words, shape.height());
+        let [samples, first, second] = state.leave(&worker, Phase::Polish, &mut plain);
         let work = plain.into_section();
-        Storage { samples, first, second, work, counts, found, makers, record }
+        Storage { samples, first, second, work, counts, objectives, owners, record }
     }
 
     /// Does step number `step`.
     pub fn step(&mut self, step: u32) {
-        self.pull(step);
-        let Self { world, options, simd, state, pulls, .. } = self;
+        self.gradients(step);
+        let Self { worker, options, simd, state, gradients, .. } = self;
         let factors = options.adam.factors(step, options.steps, 1.0);
         let slots = state.slots;
         let turns = slots.turns(step);
         state.step = step + 1;
         let (rows, shards) = state.shards();
         let (frames, own, height) = (rows.shape().frames(), rows.own(), rows.shape().height());
-        let pulls = pulls.whole();
+        let gradients = gradients.whole();
         let round = rounds::step(Phase::Polish, step, Part::Update);
-        world.round(round, Ends::Step, 0..height, shards, |job, shards| {
+        worker.round(round, Ends::Step, 0..height, shards, |job, shards| {
             let mut line = Line::new((rows, slots), shards, job.units_done());
             for t in job.units_done()..frames {
                 let row = job.index() * frames + t;
-                line.update((world, job), (t, turns), factors, &pulls[row * own..][..own], *simd);
+                line.update(
+                    (worker, job),
+                    (t, turns),
+                    factors,
+                    &gradients[row * own..][..own],
+                    *simd,
+                );
             }
         });
-        state.send(world);
+        state.send(worker);
     }
 
     /// Goes on from other samples, with the moments as they are; for a polish of one rank.
@@ -253,19 +259,19 @@ impl Polish {
         Samples { words: self.state.line_order() }
     }
 
-    fn pull(&mut self, step: u32) {
+    fn gradients(&mut self, step: u32) {
         let (inside, all) = (self.inside, self.bands.len());
-        if self.world.peers().size() > 1 {
-            self.pull_bands(step, Part::Early, 0..inside);
-            self.state.receive(&self.world);
-            self.pull_bands(step, Part::Pull, inside..all);
+        if self.worker.communicator().size() > 1 {
+            self.gradients_of_bands(step, Part::Early, 0..inside);
+            self.state.receive(&self.worker);
+            self.gradients_of_bands(step, Part::Gradient, inside..all);
         } else {
-            self.pull_bands(step, Part::Pull, 0..all);
+            self.gradients_of_bands(step, Part::Gradient, 0..all);
         }
     }
 
-    fn pull_bands(&mut self, step: u32, part: Part, which: Range<usize>) {
-        let Self { world, state, pairs, density, pulls, simd, own, total, options, .. } = self;
+    fn gradients_of_bands(&mut self, step: u32, part: Part, which: Range<usize>) {
+        let Self { worker, state, pairs, density, gradients, simd, own, total, options, .. } = self;
         let bands = &self.bands;
         let rows = &state.rows;
         let samples = state.samples.whole();
@@ -273,11 +279,11 @@ impl Polish {
         let PolishOptions { axis_weight, linear_weight, .. } = *options;
         let terms = Terms { axis: axis_weight as f32, linear: linear_weight as f32 };
         let round = rounds::step(Phase::Polish, step, part);
-        world.round(round, Ends::Half, which, (pulls,), |job, (mut pulls,)| {
-            let (band, pulls) = (&bands[job.index()], pulls.piece(0));
+        worker.round(round, Ends::Half, which, (gradients,), |job, (mut gradients,)| {
+            let (band, gradients) = (&bands[job.index()], gradients.piece(0));
             state.halo.progress();
             let planes = Planes::new(rows, samples, band.start, band.len());
-            pulls.fill(0.0);
+            gradients.fill(0.0);
             for t in 0..shape.frames() {
                 // The rows of frame t: where each pair's other row starts.
                 let words: Vec<(i32, f32)> = pairs
@@ -299,16 +305,16 @@ impl Polish {
                     total: *total,
                     density,
                 };
-                simd.run(FrameJob { frame, pulls: &mut *pulls });
-                world.fault(Place::Pull);
+                simd.run(FrameJob { frame, gradients: &mut *gradients });
+                worker.fault(faults::GRADIENT);
             }
         });
     }
 }
 
-impl Snapshot for Polish {
-    fn array(&self, index: usize, put: &mut dyn FnMut(&[f32]) -> io::Result<()>) -> io::Result<()> {
-        self.state.array(index).into_iter().try_for_each(put)
+impl ArraySource for Polish {
+    fn array(&self, index: usize, sink: &mut dyn NumberSink) -> io::Result<()> {
+        self.state.array(index).into_iter().try_for_each(|piece| sink.put(piece))
     }
 }
 
@@ -382,7 +388,7 @@ struct Frame<'a> {
 
 struct FrameJob<'a> {
     frame: Frame<'a>,
-    pulls: &'a mut [f32],
+    gradients: &'a mut [f32],
 }
 
 impl Vectorized for FrameJob<'_> {
@@ -390,7 +396,7 @@ impl Vectorized for FrameJob<'_> {
 
     #[inline(always)]
     fn run<I: Isa>(self, _: I) {
-        let Self { frame, pulls } = self;
+        let Self { frame, gradients } = self;
         let Planes { reach, width, height, frames, .. } = *frame.planes;
         let (width, lines) = (width - reach.left - reach.right, height - reach.up - reach.down);
         let (spp, dims) = (frame.spp, frame.dims);
@@ -399,16 +405,16 @@ impl Vectorized for FrameJob<'_> {
                 let place = frame.planes.place(x, y, frame.t);
                 let size = LANES.min(width - x);
                 for s in 0..spp {
-                    let pull_at = ((y * frames + frame.t) * width + x) * spp + s;
+                    let gradient_at = ((y * frames + frame.t) * width + x) * spp + s;
                     for b in 0..dims {
                         // A lone dimension is its own pair.
                         for a in 0..b.max(usize::from(dims == 1)) {
                             let [first, second] = frame.pair(place, s, a, b);
                             for lane in 0..size {
-                                let word = (pull_at + lane * spp) * dims;
-                                pulls[word + a] += first[lane];
+                                let word = (gradient_at + lane * spp) * dims;
+                                gradients[word + a] += first[lane];
                                 if a != b {
-                                    pulls[word + b] += second[lane];
+                                    gradients[word + b] += second[lane];
                                 }
                             }
                         }
@@ -420,7 +426,7 @@ impl Vectorized for FrameJob<'_> {
 }
 
 impl Frame<'_> {
-    /// The pull on dimensions `a` and `b` of sample `s` of the pixels from `place` on; where they
+    /// The gradient on dimensions `a` and `b` of sample `s` of the pixels from `place` on; where they
     /// are one, on that alone.
     #[inline(always)]
     fn pair(&self, place: usize, s: usize, a: usize, b: usize) -> [[f32; LANES]; 2] {
@@ -432,24 +438,24 @@ impl Frame<'_> {
             [row(a), if a == b { [0.0; LANES] } else { row(b) }]
         };
         let at = load(s, place);
-        let mut pull = [[0.0_f32; LANES]; 2];
+        let mut gradient = [[0.0_f32; LANES]; 2];
         for other in 0..self.spp {
             if other != s {
-                self.terms.push(&mut pull, at, load(other, place), self.own);
+                self.terms.push(&mut gradient, at, load(other, place), self.own);
             }
             for &(word, weight) in self.words {
                 let from = (place as i32 + word) as usize;
-                self.terms.push(&mut pull, at, load(other, from), weight);
+                self.terms.push(&mut gradient, at, load(other, from), weight);
             }
         }
         let away = self.terms.axis + 0.5 * self.terms.linear;
         for lane in 0..LANES {
             let [x, y] = [at[0][lane], at[1][lane]];
             let [gx, gy] = if a == b { [2.0 * x - 1.0, 0.0] } else { self.density.gradient(x, y) };
-            pull[0][lane] -= self.total * (gx + away * (2.0 * x - 1.0));
-            pull[1][lane] -= self.total * (gy + away * (2.0 * y - 1.0));
+            gradient[0][lane] -= self.total * (gx + away * (2.0 * x - 1.0));
+            gradient[1][lane] -= self.total * (gy + away * (2.0 * y - 1.0));
         }
-        pull
+        gradient
     }
 }
 
@@ -465,7 +471,7 @@ impl Terms {
     #[inline(always)]
     fn push(
         self,
-        pull: &mut [[f32; LANES]; 2],
+        gradient: &mut [[f32; LANES]; 2],
         at: [[f32; LANES]; 2],
         other: [[f32; LANES]; 2],
         weight: f32,
@@ -476,8 +482,8 @@ impl Terms {
             let dy = at[1][lane] - other[1][lane];
             let by = weight * (inverse_root(dx * dx + dy * dy) + self.linear);
             // At 0 the sign does not matter: samples on one line are a chance of rounding.
-            pull[0][lane] += by * dx + signed(axis, dx);
-            pull[1][lane] += by * dy + signed(axis, dy);
+            gradient[0][lane] += by * dx + signed(axis, dx);
+            gradient[1][lane] += by * dy + signed(axis, dy);
         }
     }
 }
@@ -660,7 +666,7 @@ mod tests {
     }
 
     #[test]
-    fn pulls_are_the_slope_of_the_energy() {
+    fn gradients_are_the_slope_of_the_energy() {
         const SIGNED: &str = "0.8: gaussian(1) * fovvideovdp(30) @ 3x4x8 + 0.2: column";
         for ([width, height, frames, spp, dims], kernel) in [
             ([9, 5, 8, 1, 2], SIGNED),
@@ -674,13 +680,13 @@ mod tests {
             let classes: Vec<_> =
                 kernel.classes().iter().map(|class| (class.weight, &class.taps)).collect();
             let mut fast = polish(&tile, &classes, Simd::detect());
-            fast.pull(0);
-            // The pulls in C order.
-            let mut pulls = vec![0.0_f64; shape.coordinates()];
+            fast.gradients(0);
+            // The gradients in C order.
+            let mut gradients = vec![0.0_f64; shape.coordinates()];
             let own = width * spp * dims;
-            for (row, words) in fast.pulls.whole()[..pulls.len()].chunks(own).enumerate() {
+            for (row, words) in fast.gradients.whole()[..gradients.len()].chunks(own).enumerate() {
                 let to = shape.pixel(0, row / frames, row % frames) * spp * dims;
-                (0..own).for_each(|k| pulls[to + k] = f64::from(words[k]));
+                (0..own).for_each(|k| gradients[to + k] = f64::from(words[k]));
             }
 
             let slow = Slow::new(shape, &classes, 0.3, 0.7);
@@ -695,15 +701,18 @@ mod tests {
                 };
                 let slope = (energy(STEP) - energy(-STEP)) / (2.0 * STEP);
                 largest = largest.max(slope.abs());
-                let (found, label) = (pulls[word], format!("{shape} coordinate {word}"));
+                let (found, label) = (gradients[word], format!("{shape} coordinate {word}"));
                 assert!((found + slope).abs() < 5e-3, "{label}: {found} {slope}");
             }
             assert!(largest > 0.5, "{shape}: slopes up to {largest} only");
 
             let mut plain = polish(&tile, &classes, Simd::plain());
-            plain.pull(0);
+            plain.gradients(0);
             let bits = |polish: &Polish| {
-                polish.pulls.whole()[..pulls.len()].iter().map(|x| x.to_bits()).collect::<Vec<_>>()
+                polish.gradients.whole()[..gradients.len()]
+                    .iter()
+                    .map(|x| x.to_bits())
+                    .collect::<Vec<_>>()
             };
             assert_eq!(bits(&plain), bits(&fast));
         }

@@ -17,7 +17,7 @@ pub enum Part {
     /// Gradients that others have to do with.
     Edge,
     /// The rest of the gradients; all of them where there are no others.
-    Pull,
+    Gradient,
     /// They move the samples.
     Update,
 }
@@ -54,11 +54,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn rounds_rise_and_tell_where_a_run_is() {
+    fn rounds_rise_and_show_where_a_run_is() {
         let rounds = [
             enter(Phase::Descent),
             step(Phase::Descent, 0, Part::Early),
-            step(Phase::Descent, 0, Part::Pull),
+            step(Phase::Descent, 0, Part::Gradient),
             step(Phase::Descent, 0, Part::Update),
             step(Phase::Descent, 1, Part::Early),
             step(Phase::Descent, u32::MAX, Part::Update),

@@ -25,16 +25,11 @@ impl Samples {
     /// # Panics
     /// If they are not as many as that.
     pub fn to_tile(&self, shape: TileShape) -> Tile {
-        tile_of(&self.words, shape)
+        assert_eq!(self.words.len(), shape.coordinates());
+        let mut samples = vec![0.0; self.words.len()];
+        rows(shape, |in_lines, in_tile| samples[in_tile].copy_from_slice(&self.words[in_lines]));
+        Tile::new(shape, samples).expect("coordinates are kept in [0, 1) by one rule")
     }
-}
-
-/// The tile that has these samples in line order.
-pub(crate) fn tile_of(words: &[f32], shape: TileShape) -> Tile {
-    assert_eq!(words.len(), shape.coordinates());
-    let mut samples = vec![0.0; words.len()];
-    rows(shape, |in_lines, in_tile| samples[in_tile].copy_from_slice(&words[in_lines]));
-    Tile::new(shape, samples).expect("coordinates are kept in [0, 1) by one rule")
 }
 
 /// Calls `row` with the words of every row, in line order and in the tile.

@@ -12,7 +12,7 @@ use crate::tile::TileShape;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Slots {
     frames: usize,
-    /// Rows that there is room for: one more than frames, if a rank can be lost.
+    /// Rows that there is room for: one more than frames, if a worker can be lost.
     count: usize,
     /// Words of a row.
     own: usize,
@@ -20,9 +20,9 @@ pub(crate) struct Slots {
 
 impl Slots {
     /// The slots of the lines of a tile.
-    pub fn new(shape: TileShape, can_fail: bool) -> Self {
+    pub fn new(shape: TileShape, has_workers: bool) -> Self {
         let own = shape.width() * shape.spp() * shape.dims();
-        Self { frames: shape.frames(), count: shape.frames() + usize::from(can_fail), own }
+        Self { frames: shape.frames(), count: shape.frames() + usize::from(has_workers), own }
     }
 
     /// Words of a line.

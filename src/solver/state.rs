@@ -4,7 +4,7 @@
 //! done again from its start, made the steps of the paper's tile half as long again: with it the
 //! state outgrows the third-level cache.
 //!
-//! Where a rank can be lost, a row must be changed whole or not at all. Its samples are made in a
+//! Where a worker can be lost, a row must be changed whole or not at all. Its samples are made in a
 //! journal that stays close to the thread, and put in place from there ([`Job::unit`]). Its
 //! moments, which nobody reads in between, move on instead: a line has room for one row more than
 //! there are frames, and each step writes every row to the place of the row before it, which is
@@ -15,27 +15,15 @@
 use std::io;
 
 use perceptile_cluster::shared::{Job, Part, Parts, Section};
-use perceptile_cluster::{Ends, World, faults::Place};
+use perceptile_cluster::{Ends, Worker};
 
+use crate::format::numbers::{ArraySource, NumberSink};
 use crate::gradient::simd::Simd;
-use crate::solver::adam::{Factors, Pull, Update, UpdateTo};
+use crate::solver::adam::{Component, Factors, Update, UpdateTo};
 use crate::solver::halo::SampleHalo;
 use crate::solver::slots::Slots;
-use crate::solver::{Phase, Storage, rounds};
+use crate::solver::{Phase, Storage, faults, rounds};
 use crate::tile::{Reach, Region, Regions, Rows, TileShape};
-
-/// The state of a phase between two steps.
-pub trait Snapshot {
-    /// Passes an array on, in line order and piece by piece: the samples (0), the first moments
-    /// (1) or the second (2). Each has as many numbers as the tile has coordinates.
-    ///
-    /// # Errors
-    /// What `put` reports.
-    ///
-    /// # Panics
-    /// If there is no array of that index.
-    fn array(&self, index: usize, put: &mut dyn FnMut(&[f32]) -> io::Result<()>) -> io::Result<()>;
-}
 
 /// Samples and Adam's moments of a tile.
 pub(crate) struct State {
@@ -62,7 +50,7 @@ impl State {
     /// Takes over the samples that lie in `plain`, in line order, before step number `step`. The
     /// moments are set to zero at the start of a phase, and left as they are in one that goes on.
     pub fn enter(
-        world: &World,
+        worker: &Worker,
         phase: Phase,
         (regions, reach): (&Regions, Reach),
         [samples, first, second]: [Section; 3],
@@ -74,57 +62,57 @@ impl State {
         let own = rows.own();
         let words = own * shape.frames();
         let lines = (0..shape.height()).map(|y| rows.line_and_copies(y)).collect();
-        let slots = Slots::new(shape, world.board().plan().journal > 0);
+        let slots = Slots::new(shape, worker.board().plan().journal > 0);
         let mut state = Self {
             samples: samples.parts(lines),
             first: by_line(first, slots.line(), shape.height()),
             second: by_line(second, slots.line(), shape.height()),
-            halo: SampleHalo::new(&**world.peers(), regions, reach),
+            halo: SampleHalo::new(&**worker.communicator(), regions, reach),
             rows,
             slots,
             step,
         };
         let (rows, shards) = state.shards();
         let round = rounds::enter(phase);
-        world.round(round, Ends::Half, 0..shape.height(), shards, |job, shards| {
+        worker.round(round, Ends::Half, 0..shape.height(), shards, |job, shards| {
             let y = job.index();
             let mut line = Line::new((rows, slots), shards, 0);
             for t in 0..shape.frames() {
                 line.put(t, &plain[y * words + t * own..][..own]);
             }
-            world.fault(Place::Exchange);
+            worker.fault(faults::EXCHANGE);
             if step == 0 {
                 line.first.fill(0.0);
                 line.second.fill(0.0);
             }
         });
-        state.send(world);
+        state.send(worker);
         state
     }
 
     /// Sends to others, if there are any, the samples that they see.
-    pub fn send(&mut self, world: &World) {
-        if world.peers().size() > 1 {
+    pub fn send(&mut self, worker: &Worker) {
+        if worker.communicator().size() > 1 {
             self.halo.send(&self.rows, self.samples.whole());
         }
     }
 
     /// Takes over the samples of others that this rank sees.
-    pub fn receive(&mut self, world: &World) {
-        self.halo.receive(world, &self.rows, self.samples.whole_mut());
+    pub fn receive(&mut self, worker: &Worker) {
+        self.halo.receive(worker, &self.rows, self.samples.whole_mut());
     }
 
     /// Writes the samples to `plain` in line order, and gives the sections back.
-    pub fn leave(self, world: &World, phase: Phase, plain: &mut Parts<f32>) -> [Section; 3] {
+    pub fn leave(self, worker: &Worker, phase: Phase, plain: &mut Parts<f32>) -> [Section; 3] {
         let Self { rows, samples, first, second, halo, .. } = self;
         // What is under way ends here, and nobody needs it.
         drop(halo);
         let (shape, own) = (rows.shape(), rows.own());
         let from = samples.whole();
         let round = rounds::leave(phase);
-        world.round(round, Ends::Half, 0..shape.height(), (plain,), |job, (mut line,)| {
+        worker.round(round, Ends::Half, 0..shape.height(), (plain,), |job, (mut line,)| {
             let words = line.piece(0).chunks_exact_mut(own);
-            world.fault(Place::Exchange);
+            worker.fault(faults::EXCHANGE);
             for (t, row) in words.enumerate() {
                 row.copy_from_slice(&from[rows.word(0, job.index(), t)..][..own]);
             }
@@ -143,7 +131,8 @@ impl State {
         own_rows(&self.rows, self.samples.whole()).concat()
     }
 
-    /// One of its arrays, in line order and in pieces; see [`Snapshot::array`].
+    /// One of its arrays, in line order and in pieces; see [`ArraySource`]: the samples
+    /// (0), the first moments (1) or the second (2), as many numbers as the tile has coordinates.
     pub fn array(&self, index: usize) -> Vec<&[f32]> {
         let array = [&self.samples, &self.first, &self.second][index].whole();
         pieces(&self.rows, self.slots, self.step, array, index)
@@ -183,25 +172,27 @@ fn pieces<'a>(
 }
 
 /// The state of a phase that other ranks carry out, seen while they wait.
-pub struct Onlooker<'a> {
+pub struct SharedSnapshot<'a> {
     storage: &'a Storage,
     rows: Rows,
     step: u32,
 }
 
-impl<'a> Onlooker<'a> {
+impl<'a> SharedSnapshot<'a> {
     /// The state that lies in `storage` before a step of a phase whose samples reach so far.
     pub fn new(storage: &'a Storage, shape: TileShape, reach: Reach, step: u32) -> Self {
         Self { storage, rows: Rows::new(Region::whole(shape), reach), step }
     }
 }
 
-impl Snapshot for Onlooker<'_> {
-    fn array(&self, index: usize, put: &mut dyn FnMut(&[f32]) -> io::Result<()>) -> io::Result<()> {
+impl ArraySource for SharedSnapshot<'_> {
+    fn array(&self, index: usize, sink: &mut dyn NumberSink) -> io::Result<()> {
         let Storage { samples, first, second, .. } = self.storage;
         let array = [samples, first, second][index].slice();
         let slots = Slots::new(self.rows.shape(), true);
-        pieces(&self.rows, slots, self.step, array, index).into_iter().try_for_each(put)
+        pieces(&self.rows, slots, self.step, array, index)
+            .into_iter()
+            .try_for_each(|piece| sink.put(piece))
     }
 }
 
@@ -242,12 +233,12 @@ impl<'a> Line<'a> {
 
     /// Moves the samples of frame `t` by Adam in a step before which moments have turned so
     /// often, as a unit of a job.
-    pub fn update<P: Pull>(
+    pub fn update<P: Component>(
         &mut self,
-        (world, job): (&World, &Job<'_>),
+        (worker, job): (&Worker, &Job<'_>),
         (t, turns): (usize, usize),
         factors: Factors,
-        pulls: &[P],
+        gradients: &[P],
         simd: Simd,
     ) {
         let start = t * self.rows.stride() + self.rows.lead();
@@ -255,7 +246,7 @@ impl<'a> Line<'a> {
         let row = self.slots.row(t, turns);
         if !self.slots.move_on() {
             let (first, second) = (&mut self.first[row.clone()], &mut self.second[row]);
-            simd.run(Update { factors, pulls, samples, first, second });
+            simd.run(Update { factors, gradients, samples, first, second });
         } else {
             let two = [row, self.slots.row(t, turns + 1)];
             let apart = "two rows of a line";
@@ -264,12 +255,17 @@ impl<'a> Line<'a> {
             job.unit(
                 samples,
                 |x, to_x| {
-                    simd.run(UpdateTo { factors, pulls, from: [x, m, v], to: [to_x, to_m, to_v] });
-                    world.fault(Place::Adam);
+                    simd.run(UpdateTo {
+                        factors,
+                        gradients,
+                        from: [x, m, v],
+                        to: [to_x, to_m, to_v],
+                    });
+                    worker.fault(faults::ADAM);
                 },
-                || world.fault(Place::Adam),
+                || worker.fault(faults::ADAM),
             );
-            world.fault(Place::Adam);
+            worker.fault(faults::ADAM);
         }
         self.close(t);
     }
@@ -295,7 +291,7 @@ impl<'a> Line<'a> {
 mod tests {
     use super::*;
     use crate::metric::Baseline;
-    use crate::solver::{Samples, StoragePlan, Team};
+    use crate::solver::{Parallelism, Samples, StoragePlan};
     use crate::tile::Partition;
 
     #[test]
@@ -306,14 +302,14 @@ mod tests {
         let tile = Baseline::White.tile(shape, 4);
         let partition = Partition::new(shape, reach);
         let whole = Region::whole(shape);
-        let plan = StoragePlan::new(&partition, whole, Team::alone());
-        let (world, mut storage) = plan.private().unwrap();
+        let plan = StoragePlan::new(&partition, whole, Parallelism::threads());
+        let (worker, mut storage) = plan.private().unwrap();
         storage.tile_mut(shape).copy_from_slice(&Samples::from_tile(&tile).words);
         let rows = Rows::new(whole, reach);
         let sections = [storage.samples, storage.first, storage.second];
         let mut plain = by_line(storage.work, rows.own() * 3, 5);
         let mut state = State::enter(
-            &world,
+            &worker,
             Phase::Descent,
             (&Regions::whole(shape), reach),
             sections,
@@ -334,7 +330,7 @@ mod tests {
         state.replace(&other.words);
         assert_eq!(state.line_order(), other.words);
         assert!(state.first.whole().iter().all(|&m| m == 1.0));
-        state.leave(&world, Phase::Descent, &mut plain);
+        state.leave(&worker, Phase::Descent, &mut plain);
         assert_eq!(plain.whole()[..other.words.len()], other.words);
     }
 }

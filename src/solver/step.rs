@@ -13,25 +13,25 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use crossbeam::queue::SegQueue;
-use perceptile_cluster::faults::Place;
 use perceptile_cluster::shared::Parts;
-use perceptile_cluster::{Ends, World};
+use perceptile_cluster::{Ends, Worker};
 
+use crate::format::numbers::{ArraySource, NumberSink};
 use crate::gradient::probe::{Probe, Stage, Unprobed};
 use crate::gradient::simd::Simd;
 use crate::gradient::{Gradient, Objective, Patch, Workspace};
 use crate::solver::adam::AdamOptions;
 use crate::solver::halo::{GradientHalo, Reduce};
 use crate::solver::rounds::{self, Part};
-use crate::solver::state::{Line, Snapshot, State, by_line};
-use crate::solver::storage::{Found, Record, Storage, StoragePlan, Team};
-use crate::solver::{Phase, Samples};
+use crate::solver::state::{Line, State, by_line};
+use crate::solver::storage::{Objectives, Record, Storage, StoragePlan};
+use crate::solver::{Parallelism, Phase, Samples, faults};
 use crate::tile::{Block, Overlap, Regions, SLACK};
 use perceptile_cluster::shared::{MapError, Section, Words};
 
 /// The descent on the filtered sliced Wasserstein distance.
 pub struct Descent<P = Unprobed> {
-    world: Arc<World>,
+    worker: Arc<Worker>,
     gradient: Gradient,
     adam: AdamOptions,
     steps: u32,
@@ -44,8 +44,8 @@ pub struct Descent<P = Unprobed> {
     overlap: Overlap,
     halo: GradientHalo,
     patches: Parts<i32>,
-    found: Arc<Found>,
-    makers: Arc<Words>,
+    objectives: Arc<Objectives>,
+    owners: Arc<Words>,
     record: Arc<Record>,
     counts: [Section; 2],
     scratch: SegQueue<Scratch<P>>,
@@ -89,17 +89,17 @@ impl<P: Probe> Descent<P> {
     ) -> Result<Self, MapError> {
         let partition = gradient.partition();
         let regions = Regions::whole(partition.shape());
-        let plan = StoragePlan::new(partition, regions.own(), Team::alone());
-        let (world, mut storage) = plan.private()?;
+        let plan = StoragePlan::new(partition, regions.own(), Parallelism::threads());
+        let (worker, mut storage) = plan.private()?;
         storage.tile_mut(partition.shape()).copy_from_slice(&samples.words);
-        Ok(Self::enter(world, storage, (gradient, &regions), adam, steps, (simd, 0), probe))
+        Ok(Self::enter(worker, storage, (gradient, &regions), adam, steps, (simd, 0), probe))
     }
 
     /// Prepares `steps` steps from the samples of a region that lie in the storage, by all ranks
-    /// of a world and of its peers; from step `first_step` on. After step 0, it goes on with the
+    /// of a worker and of its communicator; from step `first_step` on. After step 0, it goes on with the
     /// moments that are there.
     pub fn enter(
-        world: Arc<World>,
+        worker: Arc<Worker>,
         storage: Storage,
         (gradient, regions): (Gradient, &Regions),
         adam: AdamOptions,
@@ -109,14 +109,14 @@ impl<P: Probe> Descent<P> {
     ) -> Self {
         let gradient = gradient.within(regions.own());
         let partition = gradient.partition();
-        let team = Team::of(&world);
-        let Storage { samples, first, second, work, counts, found, makers, record } = storage;
+        let parallelism = Parallelism::of(&worker);
+        let Storage { samples, first, second, work, counts, objectives, owners, record } = storage;
         let sections = [samples, first, second];
         let seen = (regions, partition.reach());
-        let state = State::enter(&world, Phase::Descent, seen, sections, work.slice(), first_step);
-        let blocks = team.blocks(partition, regions.own());
+        let state = State::enter(&worker, Phase::Descent, seen, sections, work.slice(), first_step);
+        let blocks = parallelism.blocks(partition, regions.own());
         let (blocks, edge) = around(blocks, |block| state.halo.touches(block.window()));
-        let halo = GradientHalo::new(&**world.peers(), regions, partition.reach(), &blocks);
+        let halo = GradientHalo::new(&**worker.communicator(), regions, partition.reach(), &blocks);
         let windows = blocks.iter().map(Block::window).chain(halo.windows());
         let overlap = Overlap::new(regions.own(), windows);
         let mut start = 0;
@@ -127,12 +127,12 @@ impl<P: Probe> Descent<P> {
         };
         let patches = work.parts(blocks.iter().map(patch).collect());
         let scratch = SegQueue::new();
-        for _ in 0..team.threads {
+        for _ in 0..parallelism.threads {
             let sums = vec![0; state.rows.own()];
             scratch.push(Scratch { workspace: Workspace::default(), sums, probe: probe() });
         }
         Self {
-            world,
+            worker,
             gradient,
             adam,
             steps,
@@ -143,8 +143,8 @@ impl<P: Probe> Descent<P> {
             overlap,
             halo,
             patches,
-            found,
-            makers,
+            objectives,
+            owners,
             record,
             counts,
             scratch,
@@ -153,21 +153,21 @@ impl<P: Probe> Descent<P> {
 
     /// Hands the samples on to the next phase.
     pub fn leave(self) -> Storage {
-        let Self { world, state, patches, found, makers, record, counts, .. } = self;
+        let Self { worker, state, patches, objectives, owners, record, counts, .. } = self;
         let shape = state.rows.shape();
         let words = state.rows.own() * shape.frames();
         let mut plain = by_line(patches.into_section(), words, shape.height());
-        let [samples, first, second] = state.leave(&world, Phase::Descent, &mut plain);
+        let [samples, first, second] = state.leave(&worker, Phase::Descent, &mut plain);
         let work = plain.into_section();
-        Storage { samples, first, second, work, counts, found, makers, record }
+        Storage { samples, first, second, work, counts, objectives, owners, record }
     }
 
     /// Does step number `step`. Returns the objective that the draws of this region found, before
     /// the step moved the samples.
     pub fn step(&mut self, step: u32) -> Objective {
-        self.pull(step);
+        self.gradients(step);
         self.update(step);
-        self.found.sum(self.blocks.len())
+        self.objectives.sum(self.blocks.len())
     }
 
     /// Goes on from other samples, with the moments as they are; for a descent of one rank.
@@ -186,31 +186,32 @@ impl<P: Probe> Descent<P> {
     }
 
     /// Fills the patches of all blocks.
-    fn pull(&mut self, step: u32) {
+    fn gradients(&mut self, step: u32) {
         let edge = self.edge.clone();
-        let has_others = self.world.peers().size() > 1;
+        let has_others = self.worker.communicator().size() > 1;
         if has_others {
-            self.pull_blocks(step, Part::Early, 0..edge.start);
-            self.state.receive(&self.world);
-            self.pull_blocks(step, Part::Edge, edge.clone());
+            self.gradients_of_blocks(step, Part::Early, 0..edge.start);
+            self.state.receive(&self.worker);
+            self.gradients_of_blocks(step, Part::Edge, edge.clone());
             let patches = cut(self.patches.whole(), &self.blocks);
             self.halo.send(&patches, self.simd);
         }
-        self.pull_blocks(step, Part::Pull, edge.end..self.blocks.len());
+        self.gradients_of_blocks(step, Part::Gradient, edge.end..self.blocks.len());
         if has_others {
-            self.halo.receive(&self.world);
+            self.halo.receive(&self.worker);
         }
     }
 
     /// Fills the patches of some blocks.
-    fn pull_blocks(&mut self, step: u32, part: Part, which: Range<usize>) {
-        let Self { world, gradient, state, blocks, patches, found, makers, scratch, .. } = self;
+    fn gradients_of_blocks(&mut self, step: u32, part: Part, which: Range<usize>) {
+        let Self { worker, gradient, state, blocks, patches, objectives, owners, scratch, .. } =
+            self;
         let (round, halo) = (rounds::step(Phase::Descent, step, part), &self.halo);
         // The section may be longer, for another phase.
         let samples = &state.samples.whole()[..state.rows.words() + SLACK];
-        world.round(round, Ends::Half, which, (patches,), |job, (mut patch,)| {
+        worker.round(round, Ends::Half, which, (patches,), |job, (mut patch,)| {
             let block = &blocks[job.index()];
-            world.fault(Place::Pull);
+            worker.fault(faults::GRADIENT);
             match part {
                 Part::Early => state.halo.progress(),
                 _ => halo.progress(),
@@ -219,18 +220,18 @@ impl<P: Probe> Descent<P> {
                 let patch = Patch { words: patch.piece(0) };
                 gradient.block(step, block, samples, patch, workspace, probe)
             });
-            found.set(job.index(), objective, world.rank());
-            if world.size() > 1 {
-                world.read_from_others(foreign_lines(block, world.rank(), makers));
+            objectives.set(job.index(), objective, worker.index());
+            if worker.workers() > 1 {
+                worker.read_from_others(foreign_lines(block, worker.index(), owners));
             }
-            world.fault(Place::Pull);
+            worker.fault(faults::GRADIENT);
         });
     }
 
     /// Adds up the patches and moves the samples.
     fn update(&mut self, step: u32) {
-        let Self { world, gradient, adam, simd, state, blocks, overlap, halo, .. } = self;
-        let Self { patches, found, makers, record, scratch, .. } = self;
+        let Self { worker, gradient, adam, simd, state, blocks, overlap, halo, .. } = self;
+        let Self { patches, objectives, owners, record, scratch, .. } = self;
         let round = rounds::step(Phase::Descent, step, Part::Update);
         let factors = adam.factors(step, self.steps, gradient.quantum().unit());
         let slots = state.slots;
@@ -242,36 +243,37 @@ impl<P: Probe> Descent<P> {
         halo.with_received(|received| {
             let patches: Vec<&[i32]> = own.into_iter().chain(received).collect();
             let patches = patches.as_slice();
-            world.round(round, Ends::Step, 0..shape.height(), shards, |job, shards| {
+            worker.round(round, Ends::Step, 0..shape.height(), shards, |job, shards| {
                 let y = job.index();
                 if y == 0 {
-                    record.set(step, found.sum(blocks.len()));
+                    record.set(step, objectives.sum(blocks.len()));
                 }
                 let mut line = Line::new((rows, slots), shards, job.units_done());
                 with(scratch, |Scratch { sums, probe, .. }| {
                     for t in job.units_done()..shape.frames() {
                         let simd = *simd;
                         simd.run(Reduce { overlap, patches, y, t, sums });
-                        world.fault(Place::Reduce);
+                        worker.fault(faults::REDUCE);
                         probe.lap(Stage::Reduce);
-                        line.update((world, job), (t, turns), factors, sums, simd);
+                        line.update((worker, job), (t, turns), factors, sums, simd);
                         probe.lap(Stage::Adam);
                     }
                 });
-                if world.size() > 1 {
+                if worker.workers() > 1 {
                     let foreign =
-                        |&&(block, _): &&(usize, usize)| found.maker(block) != world.rank();
+                        |&&(block, _): &&(usize, usize)| objectives.owner(block) != worker.index();
                     let bytes = |&(block, _): &(usize, usize)| 4 * blocks[block].line() as u64;
-                    world.read_from_others(overlap.line(y).iter().filter(foreign).map(bytes).sum());
-                    makers[y].store(world.rank() as u64, std::sync::atomic::Ordering::Relaxed);
+                    worker
+                        .read_from_others(overlap.line(y).iter().filter(foreign).map(bytes).sum());
+                    owners[y].store(worker.index() as u64, std::sync::atomic::Ordering::Relaxed);
                 }
             });
         });
-        state.send(world);
+        state.send(worker);
     }
 }
 
-/// Puts blocks at the edge, of which `touches` tells, between two shares of those inside. Returns
+/// Puts blocks at the edge, those that `touches` names, between two shares of those inside. Returns
 /// where they are, too.
 pub(crate) fn around(
     blocks: Vec<Block>,
@@ -296,18 +298,18 @@ fn cut<'a>(words: &'a [i32], blocks: &[Block]) -> Vec<&'a [i32]> {
     blocks.iter().map(&mut cut).collect()
 }
 
-impl<P> Snapshot for Descent<P> {
-    fn array(&self, index: usize, put: &mut dyn FnMut(&[f32]) -> io::Result<()>) -> io::Result<()> {
-        self.state.array(index).into_iter().try_for_each(put)
+impl<P> ArraySource for Descent<P> {
+    fn array(&self, index: usize, sink: &mut dyn NumberSink) -> io::Result<()> {
+        self.state.array(index).into_iter().try_for_each(|piece| sink.put(piece))
     }
 }
 
 /// Bytes of samples that a block sees of lines that other ranks moved last.
-fn foreign_lines(block: &Block, rank: usize, makers: &Words) -> u64 {
+fn foreign_lines(block: &Block, rank: usize, owners: &Words) -> u64 {
     let (place, reach) = (block.place(), block.reach());
     let lines = (0..reach.up + place.height + reach.down).filter(|i| {
-        let y = (place.y + i + reach.up * (makers.len() - 1)) % makers.len();
-        makers[y].load(std::sync::atomic::Ordering::Relaxed) != rank as u64
+        let y = (place.y + i + reach.up * (owners.len() - 1)) % owners.len();
+        owners[y].load(std::sync::atomic::Ordering::Relaxed) != rank as u64
     });
     (lines.count() * block.line() * 4) as u64
 }

@@ -2,67 +2,29 @@
 //!
 //! All of it lies in one map, which is this process's own or a file that worker processes share.
 //! Phases use the same memory one after the other. In between, the samples lie in line order in
-//! the section that holds patches or pulls otherwise.
+//! the section that holds patches or gradients otherwise.
 
 use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
-use perceptile_cluster::World;
+use perceptile_cluster::Worker;
+use perceptile_cluster::communicator::Communicator;
 use perceptile_cluster::faults::Faults;
-use perceptile_cluster::peers::Peers;
 use perceptile_cluster::shared::{Arena, Board, BoardPlan, Map, MapError, Section, Words};
 
 use serde::{Deserialize, Serialize};
 
 use crate::gradient::Objective;
+use crate::solver::parallelism::BLOCKS_PER_THREAD;
 use crate::solver::slots::Slots;
-use crate::solver::{Summary, histograms};
-use crate::tile::{Block, Partition, Reach, Region, SLACK, TileShape};
-
-/// Blocks for each thread, so that one who is done can take over from one who is late.
-pub const BLOCKS_PER_THREAD: usize = 4;
-
-/// Who works on a region of a run's tile.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Team {
-    /// Ranks: processes.
-    pub ranks: usize,
-    /// Threads of each.
-    pub threads: usize,
-    /// Regions that the tile is cut into, for as many teams that share no memory.
-    pub regions: usize,
-    /// Whether a rank can be lost: then changes in place are written down before.
-    pub can_fail: bool,
-}
-
-impl Team {
-    /// The threads of the current pool.
-    pub fn alone() -> Self {
-        Self { ranks: 1, threads: rayon::current_num_threads(), regions: 1, can_fail: false }
-    }
-
-    /// The ranks of a world and of its peers.
-    pub(crate) fn of(world: &World) -> Self {
-        let BoardPlan { ranks, threads, journal, .. } = world.board().plan();
-        Self { ranks, threads, regions: world.peers().size(), can_fail: journal > 0 }
-    }
-
-    /// Threads of all ranks.
-    pub fn all_threads(&self) -> usize {
-        self.ranks.saturating_mul(self.threads)
-    }
-
-    /// The blocks of a region that the team works on.
-    pub(crate) fn blocks(&self, partition: &Partition, region: Region) -> Vec<Block> {
-        partition.blocks(region, self.all_threads() * BLOCKS_PER_THREAD)
-    }
-}
+use crate::solver::{Parallelism, Summary, histograms};
+use crate::tile::{Partition, Reach, Region, SLACK, TileShape};
 
 /// How much memory a run's phases take, in words of four bytes unless it says otherwise.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct StoragePlan {
-    team: Team,
+    parallelism: Parallelism,
     shape: TileShape,
     samples: usize,
     work: usize,
@@ -77,23 +39,23 @@ pub struct Storage {
     /// Moments in slots, line after line.
     pub(crate) first: Section,
     pub(crate) second: Section,
-    /// Patches, pulls, or a tile in line order.
+    /// Patches, gradients, or a tile in line order.
     pub(crate) work: Section,
     /// Histograms of the warp.
     pub(crate) counts: [Section; 2],
     /// What the draws of each block found, and which rank did them.
-    pub(crate) found: Arc<Found>,
+    pub(crate) objectives: Arc<Objectives>,
     /// Which rank did each line.
-    pub(crate) makers: Arc<Words>,
+    pub(crate) owners: Arc<Words>,
     /// The objective of the first and the last steps.
     pub record: Arc<Record>,
 }
 
 impl StoragePlan {
-    /// Memory for the descent on a region, by a team.
-    pub fn new(partition: &Partition, region: Region, team: Team) -> Self {
+    /// Memory for the descent on a region, by a parallelism.
+    pub fn new(partition: &Partition, region: Region, parallelism: Parallelism) -> Self {
         let shape = region.shape();
-        let count = team.all_threads().saturating_mul(BLOCKS_PER_THREAD);
+        let count = parallelism.all_threads().saturating_mul(BLOCKS_PER_THREAD);
         // The count itself may be less than asked for, or more.
         let blocks = partition.block_count(region, count);
         let pixel = shape.spp() * shape.dims();
@@ -102,7 +64,7 @@ impl StoragePlan {
             .saturating_mul(pixel)
             .saturating_add(blocks.saturating_mul(SLACK));
         Self {
-            team,
+            parallelism,
             shape,
             samples: rows(shape, partition.reach()).max(shape.coordinates()),
             work: patches.max(shape.coordinates()),
@@ -116,25 +78,26 @@ impl StoragePlan {
     }
 
     fn board(&self) -> BoardPlan {
-        let Team { ranks, threads, can_fail, .. } = self.team;
+        let workers = self.parallelism.processes();
         let row = self.shape.width() * self.shape.spp() * self.shape.dims();
         let jobs = self
             .blocks
             .max(self.shape.height())
-            .max(histograms::jobs(self.shape, self.team.all_threads()));
+            .max(histograms::jobs(self.shape, self.parallelism.all_threads()));
         // A unit is a row of samples.
-        BoardPlan { ranks, threads, jobs, journal: if can_fail { row * 4 } else { 0 } }
+        let journal = if self.parallelism.has_workers() { row * 4 } else { 0 };
+        BoardPlan { workers, threads: self.parallelism.threads, jobs, journal }
     }
 
     /// Words of the first or of the second moments; saturating.
     fn moments(&self) -> usize {
-        let slots = Slots::new(self.shape, self.team.can_fail);
+        let slots = Slots::new(self.shape, self.parallelism.has_workers());
         slots.line().saturating_mul(self.shape.height())
     }
 
     /// Bytes of it all; saturating.
     pub fn bytes(&self) -> usize {
-        let counts = bytes(8, histograms::count_words(self.shape, self.team.all_threads()));
+        let counts = bytes(8, histograms::count_words(self.shape, self.parallelism.all_threads()));
         [
             bytes(4, self.samples),
             bytes(4, self.moments()),
@@ -142,7 +105,7 @@ impl StoragePlan {
             bytes(4, self.work),
             counts,
             counts,
-            bytes(8, Found::WORDS.saturating_mul(self.blocks)),
+            bytes(8, Objectives::WORDS.saturating_mul(self.blocks)),
             bytes(8, self.shape.height()),
             bytes(8, Record::WORDS),
         ]
@@ -151,30 +114,30 @@ impl StoragePlan {
     }
 
     /// The bytes that a rank touches most, by place.
-    pub fn shares(&self, rank: usize) -> Vec<Range<usize>> {
-        let ranks = self.team.ranks;
+    pub fn shares(&self, worker: usize) -> Vec<Range<usize>> {
+        let workers = self.parallelism.processes();
         let mut start = self.board().room();
         let moments = 4 * self.moments();
         [4 * self.samples, moments, moments, 4 * self.work]
             .into_iter()
             .map(|bytes| {
-                let own = start + bytes * rank / ranks..start + bytes * (rank + 1) / ranks;
+                let own = start + bytes * worker / workers..start + bytes * (worker + 1) / workers;
                 start += Arena::room(bytes);
                 own
             })
             .collect()
     }
 
-    /// The memory, and the world that works on it as one of its ranks sees it.
+    /// The memory, and the worker that works on it as one of its ranks sees it.
     ///
     /// # Panics
-    /// If the map is smaller than [`Self::bytes`], or the rank is none of the team.
-    pub fn open(&self, map: Map, rank: usize, faults: Option<Faults>) -> (Arc<World>, Storage) {
-        let (world, storage) = self.parts(map, rank, faults);
-        (Arc::new(world), storage)
+    /// If the map is smaller than [`Self::bytes`], or the rank is none of the parallelism.
+    pub fn open(&self, map: Map, rank: usize, faults: Option<Faults>) -> (Arc<Worker>, Storage) {
+        let (worker, storage) = self.parts(map, rank, faults);
+        (Arc::new(worker), storage)
     }
 
-    fn parts(&self, map: Map, rank: usize, faults: Option<Faults>) -> (World, Storage) {
+    fn parts(&self, map: Map, rank: usize, faults: Option<Faults>) -> (Worker, Storage) {
         let mut arena = Arena::new(map);
         let board = Board::new(&mut arena, self.board());
         let storage = Storage {
@@ -183,30 +146,35 @@ impl StoragePlan {
             second: arena.take(4 * self.moments()),
             work: arena.take(4 * self.work),
             counts: [(); 2].map(|()| {
-                arena.take(8 * histograms::count_words(self.shape, self.team.all_threads()))
+                arena.take(8 * histograms::count_words(self.shape, self.parallelism.all_threads()))
             }),
-            found: Arc::new(Found(arena.take(8 * Found::WORDS * self.blocks).words())),
-            makers: Arc::new(arena.take(8 * self.shape.height()).words()),
+            objectives: Arc::new(Objectives(
+                arena.take(8 * Objectives::WORDS * self.blocks).words(),
+            )),
+            owners: Arc::new(arena.take(8 * self.shape.height()).words()),
             record: Arc::new(Record(arena.take(8 * Record::WORDS).words())),
         };
-        (World::new(board, rank, faults), storage)
+        (Worker::new(board, rank, faults), storage)
     }
 
     /// Memory of this process alone.
     ///
     /// # Errors
     /// If the system does not give it.
-    pub fn private(&self) -> Result<(Arc<World>, Storage), MapError> {
+    pub fn private(&self) -> Result<(Arc<Worker>, Storage), MapError> {
         Ok(self.open(Map::private(self.bytes())?, 0, None))
     }
 
-    /// Memory of this process alone, which has peers.
+    /// Memory of this process alone, which has communicator.
     ///
     /// # Errors
     /// If the system does not give it.
-    pub fn beside(&self, peers: Arc<dyn Peers>) -> Result<(Arc<World>, Storage), MapError> {
-        let (world, storage) = self.parts(Map::private(self.bytes())?, 0, None);
-        Ok((Arc::new(world.with_peers(peers)), storage))
+    pub fn beside(
+        &self,
+        communicator: Arc<dyn Communicator>,
+    ) -> Result<(Arc<Worker>, Storage), MapError> {
+        let (worker, storage) = self.parts(Map::private(self.bytes())?, 0, None);
+        Ok((Arc::new(worker.with_communicator(communicator)), storage))
     }
 }
 
@@ -248,11 +216,11 @@ impl Storage {
     pub fn put_moments(
         &mut self,
         shape: TileShape,
-        can_fail: bool,
+        has_workers: bool,
         step: u32,
         [first, second]: &[Vec<f32>; 2],
     ) {
-        let slots = Slots::new(shape, can_fail);
+        let slots = Slots::new(shape, has_workers);
         slots.put(self.first.slice_mut(), step, first);
         slots.put(self.second.slice_mut(), step, second);
     }
@@ -260,9 +228,9 @@ impl Storage {
 
 /// What the draws of each block found.
 #[derive(Debug)]
-pub(crate) struct Found(Words);
+pub(crate) struct Objectives(Words);
 
-impl Found {
+impl Objectives {
     /// Words of a block.
     const WORDS: usize = 3;
 
@@ -276,7 +244,7 @@ impl Found {
     }
 
     /// The rank that did a block.
-    pub fn maker(&self, block: usize) -> usize {
+    pub fn owner(&self, block: usize) -> usize {
         self.0[block * Self::WORDS + 2].load(Ordering::Relaxed) as usize
     }
 
@@ -385,7 +353,7 @@ mod tests {
     fn means_are_those_of_the_first_and_the_last_steps() {
         let shape = TileShape::new(16, 16, 1, 1, 2).unwrap();
         let partition = Partition::new(shape, Reach::default());
-        let plan = StoragePlan::new(&partition, Region::whole(shape), Team::alone());
+        let plan = StoragePlan::new(&partition, Region::whole(shape), Parallelism::threads());
         let (_, storage) = plan.private().unwrap();
         let record = &storage.record;
         assert_eq!(record.read().means(0), [None, None]);

@@ -1,4 +1,4 @@
-//! What a run tells when it is over.
+//! How a run ended, and what came of it.
 
 use serde::{Deserialize, Serialize};
 
@@ -42,7 +42,7 @@ pub enum StopReason {
     Time,
 }
 
-/// What a run tells when it is over.
+/// How a run ended, and what came of it.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Summary {
     /// Why it ended.

@@ -13,17 +13,15 @@
 
 use std::sync::OnceLock;
 
-use perceptile_cluster::faults::Place;
 use perceptile_cluster::shared::{Parts, Section};
-use perceptile_cluster::{Ends, World};
+use perceptile_cluster::{Ends, Worker};
 use serde::{Deserialize, Serialize};
 
 use crate::draw::{Direction, DirectionSet, Stream, Use};
 use crate::gradient::Targets;
 use crate::gradient::simd::{Isa, Simd, Vectorized};
 use crate::solver::histograms::{BINS, CHUNK, COUNTS, jobs};
-use crate::solver::storage::{Storage, Team};
-use crate::solver::{Phase, rounds};
+use crate::solver::{Parallelism, Phase, Storage, faults, rounds};
 use crate::tile::{MAX_DIMS, TileShape, clamp_coordinate};
 
 /// How the warp is done.
@@ -49,7 +47,7 @@ impl WarpOptions {
 /// Each round moves the samples by one frame, from one section to another and back, and counts
 /// them for the next frame. Ranks of a cluster add up what they count, and nothing else.
 pub fn warp(
-    world: &World,
+    worker: &Worker,
     storage: Storage,
     shape: TileShape,
     options: WarpOptions,
@@ -61,12 +59,12 @@ pub fn warp(
     if frames == 0 {
         return storage;
     }
-    let jobs = jobs(shape, Team::of(world).all_threads());
+    let jobs = jobs(shape, Parallelism::of(worker).all_threads());
     let points = shape.coordinates() / dims;
     let part = |job: usize| points * job / jobs * dims..points * (job + 1) / jobs * dims;
     let tile =
         |section: Section| section.parts::<f32>((0..jobs).map(|job| vec![part(job)]).collect());
-    let Storage { work, samples, counts, first, second, found, makers, record } = storage;
+    let Storage { work, samples, counts, first, second, objectives, owners, record } = storage;
     let mut tiles = [work, samples].map(tile);
     // Those of one frame are read while those of the next are made.
     let mut counts = counts.map(|section| {
@@ -83,7 +81,7 @@ pub fn warp(
     let (mut before, mut now): (Vec<Axis>, _) = (Vec::new(), axes_of(0));
     for frame in 0..=frames {
         let round = rounds::enter(Phase::Warp) + u64::from(frame);
-        if world.board().completed() < round {
+        if worker.board().completed() < round {
             let ([a, b], [even, odd]) = (&mut tiles, &mut counts);
             // The first frame to be counted is that of the tile as it was.
             let (from, to) = if frame % 2 == 1 || frame == 0 { (a, b) } else { (b, a) };
@@ -94,10 +92,10 @@ pub fn warp(
                 let count = |bin: usize| seen[bin..].iter().step_by(COUNTS).take(jobs).sum();
                 (0..COUNTS).map(count).collect()
             };
-            let peers = world.peers();
-            let all_ranks = (frame > 0 && peers.size() > 1).then(|| {
+            let communicator = worker.communicator();
+            let all_ranks = (frame > 0 && communicator.size() > 1).then(|| {
                 let mut sums = add_up();
-                peers.sum(&mut sums);
+                communicator.sum(&mut sums);
                 sums
             });
             let make_maps = || -> Vec<Vec<f32>> {
@@ -105,7 +103,7 @@ pub fn warp(
                 let axes = before.iter().zip(sums.chunks(BINS));
                 axes.map(|(axis, sums)| axis.displacements(&targets, sums, options.rate)).collect()
             };
-            world.round(round, Ends::Half, 0..jobs, (to, counts), |job, (mut to, mut counts)| {
+            worker.round(round, Ends::Half, 0..jobs, (to, counts), |job, (mut to, mut counts)| {
                 let (to, counts) = (to.piece(0), counts.piece(0));
                 counts.fill(0);
                 let from = &from[part(job.index())];
@@ -119,7 +117,7 @@ pub fn warp(
                         simd.run(Move { axes: &before, maps, dims, points: to });
                         points = to;
                     }
-                    world.fault(Place::Warp);
+                    worker.fault(faults::WARP);
                     for (axis, counts) in now.iter().zip(counts.chunks_mut(BINS)) {
                         simd.run(Count { axis, dims, points, counts });
                     }
@@ -135,8 +133,8 @@ pub fn warp(
         counts: counts.map(Parts::into_section),
         first,
         second,
-        found,
-        makers,
+        objectives,
+        owners,
         record,
     }
 }
@@ -281,10 +279,10 @@ mod tests {
     fn warp_words(words: &[f32], dims: usize, options: WarpOptions, simd: Simd) -> Samples {
         let shape = TileShape::new(words.len() / dims, 1, 1, 1, dims).unwrap();
         let partition = Partition::new(shape, Reach::default());
-        let plan = StoragePlan::new(&partition, Region::whole(shape), Team::alone());
-        let (world, mut storage) = plan.private().unwrap();
+        let plan = StoragePlan::new(&partition, Region::whole(shape), Parallelism::threads());
+        let (worker, mut storage) = plan.private().unwrap();
         storage.tile_mut(shape).copy_from_slice(words);
-        let storage = warp(&world, storage, shape, options, 3, simd);
+        let storage = warp(&worker, storage, shape, options, 3, simd);
         let tile = storage.into_tile(options.all_frames(dims));
         Samples { words: tile.slice()[..words.len()].to_vec() }
     }

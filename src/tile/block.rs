@@ -3,7 +3,7 @@
 //! The draws of a block reach over its edge, so its gradient, a *patch*, has a halo around its
 //! cells: rows in the order `(y, t)` as in [`crate::tile::Rows`], but without wrap-around in x
 //! and y. [`Overlap`] says which rows of which patches add up to a row of the tile, or of a piece
-//! of it that travels.
+//! of it that is sent.
 
 use crate::tile::{Cell, Reach, Region, TileShape, Window};
 

@@ -2,7 +2,7 @@
 //!
 //! A *region* is the rectangle of cells that one rank owns: their samples live there and nowhere
 //! else. What its draws see beyond its edge, its *halo*, belongs to other regions, in *pieces* that
-//! travel: samples to where they are seen, gradients to where the samples are.
+//! gather: samples to where they are seen, gradients to where the samples are.
 //!
 //! Everything here is pure arithmetic, the same on all ranks.
 

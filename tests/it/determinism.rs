@@ -4,8 +4,8 @@
 use perceptile::draw::DrawOptions;
 use perceptile::format::sidecar::digest;
 use perceptile::gradient::simd::Simd;
+use perceptile::run::driver::optimize;
 use perceptile::run::observer::{Observer, Progress, Unobserved};
-use perceptile::run::phases::optimize;
 use perceptile::solver::adam::AdamOptions;
 use perceptile::solver::polish::PolishOptions;
 use perceptile::solver::warp::WarpOptions;
@@ -104,7 +104,7 @@ impl Observer for Interrupting {
         self.done += u32::from(matches!(progress.phase, Phase::Descent | Phase::Polish));
     }
 
-    fn tell(&mut self, _: &str) {}
+    fn report(&mut self, _: &str) {}
 
     fn stop(&self) -> Option<StopReason> {
         (self.done >= self.after).then_some(StopReason::Interrupted)

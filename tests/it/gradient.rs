@@ -245,7 +245,7 @@ impl Oracle {
                 }
             }
         }
-        Self { gradient: reference::pulls(&case.tile, &case.levels, &draws), allowed }
+        Self { gradient: reference::gradient(&case.tile, &case.levels, &draws), allowed }
     }
 
     /// Whether a gradient in units of the quantum is right.
@@ -466,7 +466,7 @@ fn the_plain_gradient_equals_finite_differences() {
                 subset.iter().for_each(|&sample| touched[sample] = true);
             }
         }
-        let gradient = reference::pulls(&case.tile, &case.levels, &draws);
+        let gradient = reference::gradient(&case.tile, &case.levels, &draws);
         let subsets: Vec<Vec<usize>> = draws.iter().map(|draw| case.subset(draw)).collect();
         let objective = |word: usize, by: f32| {
             let mut samples = case.tile.samples().to_vec();

@@ -87,7 +87,7 @@ fn steps_are_adams_on_the_plain_gradient() {
         let mut now = case.clone();
         now.step = step;
         now.tile = descent.samples().to_tile(shape);
-        let pulls = reference::pulls(&now.tile, &now.levels, &now.reference_draws());
+        let gradient = reference::gradient(&now.tile, &now.levels, &now.reference_draws());
         descent.step(step);
         let after = descent.samples().to_tile(shape);
         let part = f64::from(step) / f64::from(steps);
@@ -95,8 +95,8 @@ fn steps_are_adams_on_the_plain_gradient() {
         let t = step as i32 + 1;
         let mut wrong = 0;
         for i in 0..n {
-            m[i] = 0.8 * m[i] + 0.2 * pulls[i];
-            v[i] = 0.95 * v[i] + 0.05 * pulls[i] * pulls[i];
+            m[i] = 0.8 * m[i] + 0.2 * gradient[i];
+            v[i] = 0.95 * v[i] + 0.05 * gradient[i] * gradient[i];
             let by = rate * (m[i] / (1.0 - 0.8_f64.powi(t)))
                 / ((v[i] / (1.0 - 0.95_f64.powi(t))).sqrt() + 0.05);
             let x = (f64::from(now.tile.samples()[i]) + by).clamp(0.0, 1.0);

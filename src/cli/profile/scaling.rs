@@ -6,12 +6,12 @@ use std::time::Duration;
 use clap::Args;
 use perceptile::format::write::{self, Existing};
 use perceptile::gradient::simd::Simd;
-use perceptile::profile::scaling::costs::CostsError;
 use perceptile::profile::scaling::report::{self, Cluster, Scaling};
 use perceptile::profile::scaling::{Network, RankMemory, picture};
 use perceptile::solver::Options;
 
-use crate::cli::print;
+use crate::cli::exit::Failure;
+use crate::cli::stream::print;
 
 /// A cluster that is not at hand.
 #[derive(Debug, Args)]
@@ -65,7 +65,7 @@ pub struct Manner<'a> {
 ///
 /// # Errors
 /// Runs that cannot be, outputs that cannot be written, too little memory.
-pub fn run(args: &ScalingArgs, own: Option<Options>, manner: &Manner<'_>) -> anyhow::Result<()> {
+pub fn run(args: &ScalingArgs, own: Option<Options>, manner: &Manner<'_>) -> Result<(), Failure> {
     let Manner { simd, threads, measure, json, svg, existing } = *manner;
     write::probe(svg, existing)?;
     let cluster = Cluster {
@@ -76,22 +76,14 @@ pub fn run(args: &ScalingArgs, own: Option<Options>, manner: &Manner<'_>) -> any
         cores: args.shared_cores.map(Into::into),
     };
     let tiles = own.map_or_else(report::tiles, |own| vec![own]);
-    let scaling = Scaling::take(&tiles, cluster, simd, threads, measure).map_err(|error| {
-        match error {
-            // What is wrong with the run has an exit code of its own.
-            CostsError::Options(error) => anyhow::Error::from(error),
-            error => error.into(),
-        }
-    })?;
+    let scaling = Scaling::take(&tiles, cluster, simd, threads, measure)?;
     if let Some(path) = svg {
         let picture = picture::svg(&scaling);
         write::write(path, existing, |out| out.write_all(picture.as_bytes()))?;
     }
-    if json {
-        print(&(serde_json::to_string_pretty(&scaling)? + "\n"))
-    } else {
-        print(&scaling.to_string())
-    }
+    let text =
+        if json { serde_json::to_string_pretty(&scaling)? + "\n" } else { scaling.to_string() };
+    Ok(print(&text)?)
 }
 
 /// Units with what they are worth.

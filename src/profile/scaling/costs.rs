@@ -5,9 +5,9 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use perceptile_cluster::peers::{Peers, Threads};
+use perceptile_cluster::communicator::{Communicator, InProcess};
 use perceptile_cluster::shared::MapError;
-use perceptile_cluster::{Ends, World};
+use perceptile_cluster::{Ends, Worker};
 use rayon::{ThreadPoolBuildError, ThreadPoolBuilder};
 use serde::Serialize;
 use thiserror::Error;
@@ -20,7 +20,7 @@ use crate::profile::measure;
 use crate::profile::subject::{Subject, WORD};
 use crate::profile::traffic;
 use crate::solver::{
-    BLOCKS_PER_THREAD, GradientHalo, Options, OptionsError, SampleHalo, StoragePlan, Team,
+    BLOCKS_PER_THREAD, GradientHalo, Options, OptionsError, Parallelism, SampleHalo, StoragePlan,
 };
 use crate::tile::{Block, Layout, Partition, Region, Rows, SLACK, TileShape, TooManyRanks};
 
@@ -44,7 +44,7 @@ pub enum CostsError {
     Memory(#[from] MapError),
     /// The system gives no threads.
     #[error("threads cannot be had: {0}")]
-    Threads(#[from] ThreadPoolBuildError),
+    InProcess(#[from] ThreadPoolBuildError),
 }
 
 impl From<KernelError> for CostsError {
@@ -75,7 +75,7 @@ pub struct Measured {
 /// A whole step of the small tile by all threads of this machine.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Check {
-    /// Threads.
+    /// InProcess.
     pub threads: usize,
     /// Seconds that the model says.
     pub predicted: f64,
@@ -179,24 +179,24 @@ fn packing(
         return Ok([0.0; 2]);
     }
     let mut ranks = Vec::new();
-    for peers in Threads::group(2) {
-        let peers: Arc<dyn Peers> = Arc::new(peers);
-        let regions = partition.regions(2, peers.rank())?;
-        let team = Team { ranks: 1, threads: 1, regions: 2, can_fail: false };
-        let plan = StoragePlan::new(partition, regions.own(), team);
-        let (world, _) = plan.beside(Arc::clone(&peers))?;
-        let blocks = team.blocks(partition, regions.own());
+    for communicator in InProcess::group(2) {
+        let communicator: Arc<dyn Communicator> = Arc::new(communicator);
+        let regions = partition.regions(2, communicator.rank())?;
+        let parallelism = Parallelism { ranks: 2, workers: 0, threads: 1 };
+        let plan = StoragePlan::new(partition, regions.own(), parallelism);
+        let (worker, _) = plan.beside(Arc::clone(&communicator))?;
+        let blocks = parallelism.blocks(partition, regions.own());
         let patches: Vec<Vec<i32>> =
             blocks.iter().map(|block| vec![1; block.words() + SLACK]).collect();
         let rows = Rows::new(regions.own(), reach);
         let own: Vec<f32> = samples.iter().copied().cycle().take(rows.words() + SLACK).collect();
-        let there = SampleHalo::new(&*peers, &regions, reach);
-        let back = GradientHalo::new(&*peers, &regions, reach, &blocks);
+        let there = SampleHalo::new(&*communicator, &regions, reach);
+        let back = GradientHalo::new(&*communicator, &regions, reach, &blocks);
         let pixel = partition.shape().spp() * partition.shape().dims();
         let pieces = regions.halo(reach);
         let pixels = pieces.iter().map(|piece| piece.pixels(partition.shape().frames()));
         let bytes = WORD as f64 * (pixels.sum::<usize>() * pixel) as f64;
-        ranks.push((world, rows, own, patches, there, back, bytes));
+        ranks.push((worker, rows, own, patches, there, back, bytes));
     }
     let bytes: f64 = ranks.iter().map(|(.., bytes)| bytes).sum();
     let begun = Instant::now();
@@ -211,11 +211,11 @@ fn packing(
         }
         packing += start.elapsed();
         let start = Instant::now();
-        for (world, rows, own, _, there, ..) in &mut ranks {
-            there.receive(world, rows, own);
+        for (worker, rows, own, _, there, ..) in &mut ranks {
+            there.receive(worker, rows, own);
         }
         unpacking += start.elapsed();
-        ranks.iter_mut().for_each(|(world, .., back, _)| back.receive(world));
+        ranks.iter_mut().for_each(|(worker, .., back, _)| back.receive(worker));
         times += 1;
     }
     let times = f64::from(times);
@@ -225,20 +225,20 @@ fn packing(
 /// Seconds of a round without work by all threads of the pool: the least that was found.
 fn round(partition: &Partition, time: Duration) -> Result<f64, MapError> {
     let threads = rayon::current_num_threads();
-    let team = Team { ranks: 1, threads, regions: 1, can_fail: false };
+    let parallelism = Parallelism { ranks: 1, workers: 0, threads };
     let region = Region::whole(partition.shape());
-    let (world, _) = StoragePlan::new(partition, region, team).private()?;
+    let (worker, _) = StoragePlan::new(partition, region, parallelism).private()?;
     let jobs = partition.block_count(region, threads * BLOCKS_PER_THREAD);
-    let rounds = |world: &World, numbers: std::ops::Range<u64>| {
+    let rounds = |worker: &Worker, numbers: std::ops::Range<u64>| {
         for number in numbers {
-            world.round(number, Ends::Half, 0..jobs, (), |_, ()| ());
+            worker.round(number, Ends::Half, 0..jobs, (), |_, ()| ());
         }
     };
     let begun = Instant::now();
     let (mut next, mut least) = (1, f64::INFINITY);
     while least.is_infinite() || begun.elapsed() < time {
         let start = Instant::now();
-        rounds(&world, next..next + ROUNDS);
+        rounds(&worker, next..next + ROUNDS);
         least = least.min(start.elapsed().as_secs_f64() / ROUNDS as f64);
         next += ROUNDS;
     }

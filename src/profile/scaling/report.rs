@@ -9,7 +9,7 @@ use super::costs::{Check, CostsError, Measured};
 use super::{Bottleneck, Model, Network, Prediction, RankMemory, largest};
 use crate::gradient::simd::Simd;
 use crate::profile::machine::Machine;
-use crate::run::program::levels;
+use crate::run::plan::levels;
 use crate::solver::{Options, Preset};
 use crate::tile::{Partition, TileShape};
 

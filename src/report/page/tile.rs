@@ -199,7 +199,7 @@ fn provenance(number: usize, card: &Card) -> Markup {
 fn known(number: usize, sidecar: &Sidecar, same: Match) -> Markup {
     let verdict = match same {
         Match::Same => "the file still matches",
-        Match::Other => "the file does not match: it is not the tile that this tells of",
+        Match::Other => "the file does not match: it is not the tile that this describes",
         Match::Unread => "the file could not be read again",
     };
     html! {

@@ -1,20 +1,21 @@
-//! What a run begins with: samples, and if it goes on from a checkpoint, all else that it had.
+//! What a run starts from: samples, and after a checkpoint Adam's moments and the objective so far.
 //!
 //! None of it is held here, but for a tile that was given: it is made or read when it is wanted,
 //! and passed on in pieces.
 
-use perceptile_cluster::World;
+use perceptile_cluster::Worker;
 
-use crate::format::numbers::Sink;
+use crate::format::numbers::ArraySink;
+use crate::run::error::RunError;
 use crate::run::folder::{Arrays, FolderError};
-use crate::run::program::{Program, ProgramError};
-use crate::run::travel::{self, Scatter};
+use crate::run::gather::{self, Scatter};
+use crate::run::plan::Plan;
 use crate::solver::{Options, OptionsError, Recorded, Samples, Start, Storage, rounds, start};
 use crate::tile::{Partition, Region, Tile};
 
-/// What a run begins with.
+/// What a run starts from.
 #[derive(Debug)]
-pub struct Begin {
+pub struct InitialState {
     source: Source,
     /// The objective of steps before.
     record: Recorded,
@@ -23,24 +24,24 @@ pub struct Begin {
 /// Where samples come from.
 #[derive(Debug)]
 enum Source {
-    /// They are made from the program's seed, each region's by itself.
-    Made(fn(&Partition, Region, u64) -> Samples),
-    /// They were given.
+    /// They are made from the plan's seed, each region's by itself.
+    Seed(fn(&Partition, Region, u64) -> Samples),
+    /// A tile was given.
     Given(Samples),
     /// They lie in a checkpoint, and Adam's moments with them.
-    Kept(Arrays),
+    Checkpoint(Arrays),
     /// The root has them.
     AtRoot,
 }
 
-impl Begin {
-    /// The start that a program asks for; `start` is the tile to start from, if there is one.
+impl InitialState {
+    /// The start that a plan asks for; `start` is the tile to start from, if there is one.
     ///
     /// # Errors
     /// A starting tile of another shape, or one too many or too few.
-    pub fn new(program: &Program, start: Option<&Tile>) -> Result<Self, OptionsError> {
-        let shape = program.options.shape;
-        let source = match (Self::makes(&program.options), start) {
+    pub fn new(plan: &Plan, start: Option<&Tile>) -> Result<Self, OptionsError> {
+        let shape = plan.options.shape;
+        let source = match (Self::from_seed(&plan.options), start) {
             (Some(source), None) => source,
             (None, Some(tile)) if tile.shape() == shape => Source::Given(Samples::from_tile(tile)),
             (None, Some(tile)) => {
@@ -51,30 +52,30 @@ impl Begin {
         Ok(Self { source, record: Recorded::default() })
     }
 
-    /// What a rank begins with that is not the root: it makes its start, if nobody has to be
-    /// asked for it.
-    pub fn beside_root(program: &Program, is_kept: bool) -> Self {
-        let made = Self::makes(&program.options).filter(|_| !is_kept);
-        Self { source: made.unwrap_or(Source::AtRoot), record: Recorded::default() }
+    /// What a rank starts from that is not the root: it makes its samples from the seed, or gets
+    /// them from the root.
+    pub fn beside_root(plan: &Plan, from_checkpoint: bool) -> Self {
+        let seed = Self::from_seed(&plan.options).filter(|_| !from_checkpoint);
+        Self { source: seed.unwrap_or(Source::AtRoot), record: Recorded::default() }
     }
 
-    fn makes(options: &Options) -> Option<Source> {
+    fn from_seed(options: &Options) -> Option<Source> {
         match options.start {
-            Start::Random => Some(Source::Made(start::random)),
-            Start::Stratified => Some(Source::Made(start::stratified)),
+            Start::Random => Some(Source::Seed(start::random)),
+            Start::Stratified => Some(Source::Seed(start::stratified)),
             Start::Tile => None,
         }
     }
 
-    /// What a checkpoint holds: samples and moments, as many as the program's tile has
-    /// coordinates, and the objective of steps before.
-    pub(super) fn kept(arrays: Arrays, record: Recorded) -> Self {
-        Self { source: Source::Kept(arrays), record }
+    /// What a checkpoint holds: samples and moments, as many as the plan's tile has coordinates, and
+    /// the objective of steps before.
+    pub(super) fn checkpoint(arrays: Arrays, record: Recorded) -> Self {
+        Self { source: Source::Checkpoint(arrays), record }
     }
 
-    /// Whether a run goes on with it that was kept.
-    pub fn is_kept(&self) -> bool {
-        matches!(self.source, Source::Kept(_))
+    /// Whether it is that of a checkpoint.
+    pub fn is_checkpoint(&self) -> bool {
+        matches!(self.source, Source::Checkpoint(_))
     }
 
     /// The objective of steps before.
@@ -82,7 +83,7 @@ impl Begin {
         &self.record
     }
 
-    /// Passes on what lies here of what the ranks of a program begin with, in line order and piece
+    /// Passes on what lies here of what the ranks of a plan start from, in line order and piece
     /// by piece, each piece with the number of its array: the samples (0), and if a phase is to go
     /// on, Adam's first (1) and second moments (2). What was passed on is worth nothing if there is
     /// an error in the end, but was never more than the tile has coordinates.
@@ -91,14 +92,14 @@ impl Begin {
     /// A checkpoint that cannot be read again, and what `sink` reports.
     pub fn read<E: From<FolderError>>(
         &mut self,
-        program: &Program,
-        sink: &mut Sink<'_, E>,
+        plan: &Plan,
+        sink: &mut ArraySink<'_, E>,
     ) -> Result<(), E> {
         match &mut self.source {
-            Source::Made(_) | Source::AtRoot => Ok(()),
+            Source::Seed(_) | Source::AtRoot => Ok(()),
             Source::Given(samples) => sink(0, &samples.words),
-            Source::Kept(arrays) => {
-                let starts = program.from.step == 0;
+            Source::Checkpoint(arrays) => {
+                let starts = plan.from.step == 0;
                 arrays.read(&mut |array, piece| {
                     if array > 0 && starts { Ok(()) } else { sink(array, piece) }
                 })
@@ -106,52 +107,52 @@ impl Begin {
         }
     }
 
-    /// Puts it where the program's ranks look for it: on all of them, what is their region's.
+    /// Puts it where the phases look for it: on every rank, what is its region's.
     ///
     /// # Errors
     /// A checkpoint that cannot be read again, here or at the root.
     pub fn put(
         mut self,
-        program: &Program,
-        world: &World,
+        plan: &Plan,
+        worker: &Worker,
         storage: &mut Storage,
-    ) -> Result<(), ProgramError> {
-        let peers = &**world.peers();
-        let regions = program.regions(peers.rank());
+    ) -> Result<(), RunError> {
+        let communicator = &**worker.communicator();
+        let regions = plan.regions(communicator.rank());
         let shape = regions.own().shape();
-        if let Source::Made(make) = self.source {
-            let samples = make(&program.partition(), regions.own(), program.options.seed);
+        if let Source::Seed(make) = self.source {
+            let samples = make(&plan.partition(), regions.own(), plan.options.seed);
             storage.tile_mut(shape).copy_from_slice(&samples.words);
         } else {
-            let goes_on = program.from.step > 0;
+            let goes_on = plan.from.step > 0;
             let mut own = Own::new(storage.tile_mut(shape));
             let mut result = Ok(());
-            if peers.rank() == 0 {
-                let mut scatter = Scatter::new(peers, &regions);
-                result = self.read::<FolderError>(program, &mut |_, piece| {
+            if communicator.rank() == 0 {
+                let mut scatter = Scatter::new(communicator, &regions);
+                result = self.read::<FolderError>(plan, &mut |_, piece| {
                     scatter.take(piece, &mut |words| own.take(words));
                     Ok(())
                 });
                 scatter.make_up(if goes_on { 3 } else { 1 });
             } else {
                 for _ in 0..if goes_on { 3 } else { 1 } {
-                    travel::receive(peers, &regions, &mut |words| own.take(words));
+                    gather::receive(communicator, &regions, &mut |words| own.take(words));
                 }
             }
             let moments = own.moments;
             let mut failed = [i64::from(result.is_err())];
-            peers.max(&mut failed);
+            communicator.max(&mut failed);
             result?;
             if failed != [0] {
-                return Err(ProgramError::Elsewhere);
+                return Err(RunError::Elsewhere);
             }
             if goes_on {
-                let can_fail = program.team.can_fail;
-                storage.put_moments(shape, can_fail, program.from.step, &moments);
+                let has_workers = plan.parallelism.has_workers();
+                storage.put_moments(shape, has_workers, plan.from.step, &moments);
             }
         }
         storage.record.restore(&self.record);
-        world.board().begin_after(rounds::enter(program.from.phase) - 1);
+        worker.board().start_after(rounds::enter(plan.from.phase) - 1);
         Ok(())
     }
 }

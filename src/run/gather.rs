@@ -1,32 +1,32 @@
 //! How the numbers of a tile come from the root of a cluster to their regions, and back.
 //!
-//! Nobody holds more than a few rows of what is another's: the root passes arrays on block by
-//! block, in the order in which files have them. A block is some frames of one line, or some lines
-//! of one frame, and travels as one message to or from each region that has a share in it. One
+//! Nobody holds more than a few rows of what is another's: the root passes arrays on chunk by
+//! chunk, in the order in which files have them. A chunk is some frames of one line, or some lines
+//! of one frame, and is sent as one message to or from each region that has a share in it. One
 //! process alone is a root whose region is the tile, and sends nothing.
 //!
 //! Whatever goes wrong at the root, all messages of an array are sent and received, so that no
-//! rank waits for ever; what went wrong is told at the end.
+//! rank waits for ever; the error is returned at the end.
 
 use std::io;
 use std::ops::Range;
 
-use perceptile_cluster::peers::Peers;
+use perceptile_cluster::communicator::Communicator;
 
-use crate::format::numbers::Put;
+use crate::format::numbers::{ArraySource, NumberSink};
 use crate::tile::{Regions, TileShape};
 
-/// Words of a block, as far as a row is not longer.
-const BLOCK: usize = 1 << 18;
+/// Words of a chunk, as far as a row is not longer.
+const CHUNK: usize = 1 << 18;
 
 /// Some rows of a tile.
 #[derive(Debug, Clone, PartialEq, Eq)]
-struct Block {
+struct Chunk {
     lines: Range<usize>,
     frames: Range<usize>,
 }
 
-/// How arrays are cut into blocks, and blocks into shares of regions.
+/// How arrays are cut into chunks, and chunks into shares of regions.
 struct Cut<'a> {
     regions: &'a Regions,
     tile: TileShape,
@@ -39,60 +39,60 @@ impl<'a> Cut<'a> {
         Self { regions, tile, pixel: tile.spp() * tile.dims() }
     }
 
-    /// Rows of a block.
+    /// Rows of a chunk.
     fn rows(&self) -> usize {
-        (BLOCK / (self.tile.width() * self.pixel)).max(1)
+        (CHUNK / (self.tile.width() * self.pixel)).max(1)
     }
 
-    /// The blocks of an array in line order.
-    fn in_line_order(&self) -> Vec<Block> {
+    /// The chunks of an array in line order.
+    fn in_line_order(&self) -> Vec<Chunk> {
         let (rows, frames) = (self.rows(), self.tile.frames());
-        let block = |y: usize| {
+        let chunk = |y: usize| {
             let starts = (0..frames).step_by(rows);
-            starts.map(move |t| Block { lines: y..y + 1, frames: t..(t + rows).min(frames) })
+            starts.map(move |t| Chunk { lines: y..y + 1, frames: t..(t + rows).min(frames) })
         };
-        (0..self.tile.height()).flat_map(block).collect()
+        (0..self.tile.height()).flat_map(chunk).collect()
     }
 
-    /// The blocks of an array in C order.
-    fn in_c_order(&self) -> Vec<Block> {
+    /// The chunks of an array in C order.
+    fn in_c_order(&self) -> Vec<Chunk> {
         let (rows, height) = (self.rows(), self.tile.height());
-        let block = |t: usize| {
+        let chunk = |t: usize| {
             let starts = (0..height).step_by(rows);
-            starts.map(move |y| Block { lines: y..(y + rows).min(height), frames: t..t + 1 })
+            starts.map(move |y| Chunk { lines: y..(y + rows).min(height), frames: t..t + 1 })
         };
-        (0..self.tile.frames()).flat_map(block).collect()
+        (0..self.tile.frames()).flat_map(chunk).collect()
     }
 
-    /// Words of a block.
-    fn words(&self, block: &Block) -> usize {
-        block.lines.len() * block.frames.len() * self.tile.width() * self.pixel
+    /// Words of a chunk.
+    fn words(&self, chunk: &Chunk) -> usize {
+        chunk.lines.len() * chunk.frames.len() * self.tile.width() * self.pixel
     }
 
-    /// The lines of a block that a rank has.
-    fn share(&self, block: &Block, rank: usize) -> Range<usize> {
+    /// The lines of a chunk that a rank has.
+    fn share(&self, chunk: &Chunk, rank: usize) -> Range<usize> {
         let place = self.regions.all()[rank].place();
-        let start = block.lines.start.max(place.y);
-        start..block.lines.end.min(place.y + place.height).max(start)
+        let start = chunk.lines.start.max(place.y);
+        start..chunk.lines.end.min(place.y + place.height).max(start)
     }
 
-    /// Words of a rank's share of a block.
-    fn shared_words(&self, block: &Block, rank: usize) -> usize {
+    /// Words of a rank's share of a chunk.
+    fn shared_words(&self, chunk: &Chunk, rank: usize) -> usize {
         let width = self.regions.all()[rank].place().width;
-        self.share(block, rank).len() * block.frames.len() * width * self.pixel
+        self.share(chunk, rank).len() * chunk.frames.len() * width * self.pixel
     }
 
-    /// Ranks that have a share of a block.
-    fn ranks(&self, block: &'a Block) -> impl Iterator<Item = usize> {
-        (0..self.regions.all().len()).filter(|&rank| !self.share(block, rank).is_empty())
+    /// Ranks that have a share of a chunk.
+    fn ranks(&self, chunk: &'a Chunk) -> impl Iterator<Item = usize> {
+        (0..self.regions.all().len()).filter(|&rank| !self.share(chunk, rank).is_empty())
     }
 
-    /// Where the rows of a rank's share lie in a block, in the order of the share.
-    fn places(&self, block: &Block, rank: usize) -> impl Iterator<Item = Range<usize>> {
-        let (place, frames) = (self.regions.all()[rank].place(), block.frames.len());
+    /// Where the rows of a rank's share lie in a chunk, in the order of the share.
+    fn places(&self, chunk: &Chunk, rank: usize) -> impl Iterator<Item = Range<usize>> {
+        let (place, frames) = (self.regions.all()[rank].place(), chunk.frames.len());
         let (row, pixel) = (self.tile.width() * self.pixel, self.pixel);
-        let lines = self.share(block, rank);
-        let start = block.lines.start;
+        let lines = self.share(chunk, rank);
+        let start = chunk.lines.start;
         lines.flat_map(move |y| {
             (0..frames).map(move |t| {
                 let from = ((y - start) * frames + t) * row + place.x * pixel;
@@ -104,9 +104,9 @@ impl<'a> Cut<'a> {
 
 /// Shares arrays in line order out to all ranks, as their root.
 pub struct Scatter<'a> {
-    peers: &'a dyn Peers,
+    communicator: &'a dyn Communicator,
     cut: Cut<'a>,
-    blocks: Vec<Block>,
+    chunks: Vec<Chunk>,
     next: usize,
     buffer: Vec<f32>,
     taken: u64,
@@ -114,10 +114,10 @@ pub struct Scatter<'a> {
 
 impl<'a> Scatter<'a> {
     /// Begins with an array.
-    pub fn new(peers: &'a dyn Peers, regions: &'a Regions) -> Self {
+    pub fn new(communicator: &'a dyn Communicator, regions: &'a Regions) -> Self {
         let cut = Cut::new(regions);
-        let blocks = cut.in_line_order();
-        Self { peers, cut, blocks, next: 0, buffer: Vec::new(), taken: 0 }
+        let chunks = cut.in_line_order();
+        Self { communicator, cut, chunks, next: 0, buffer: Vec::new(), taken: 0 }
     }
 
     /// Takes the next numbers; an array follows the other. What is the root's own comes out again,
@@ -125,113 +125,113 @@ impl<'a> Scatter<'a> {
     pub fn take(&mut self, mut piece: &[f32], own: &mut dyn FnMut(&[f32])) {
         self.taken += piece.len() as u64;
         while !piece.is_empty() {
-            let block = &self.blocks[self.next];
-            let words = self.cut.words(block);
+            let chunk = &self.chunks[self.next];
+            let words = self.cut.words(chunk);
             let (now, rest) = piece.split_at(piece.len().min(words - self.buffer.len()));
             self.buffer.extend_from_slice(now);
             piece = rest;
             if self.buffer.len() < words {
                 return;
             }
-            for rank in self.cut.ranks(block) {
-                let rows = self.cut.places(block, rank).map(|row| &self.buffer[row]);
+            for rank in self.cut.ranks(chunk) {
+                let rows = self.cut.places(chunk, rank).map(|row| &self.buffer[row]);
                 let share = rows.collect::<Vec<&[f32]>>().concat();
-                if rank == self.peers.rank() {
+                if rank == self.communicator.rank() {
                     own(&share);
                 } else {
-                    self.peers.send(rank, bytemuck::cast_slice(&share));
+                    self.communicator.send(rank, bytemuck::cast_slice(&share));
                 }
             }
             self.buffer.clear();
-            self.next = (self.next + 1) % self.blocks.len();
+            self.next = (self.next + 1) % self.chunks.len();
         }
     }
 
     /// Sends zeros in place of all that is missing of so many arrays.
     pub fn make_up(&mut self, arrays: usize) {
         let all = self.cut.tile.coordinates() as u64 * arrays as u64;
-        let zeros = vec![0.0; BLOCK];
+        let zeros = vec![0.0; CHUNK];
         while self.taken < all {
-            let words = (all - self.taken).min(BLOCK as u64) as usize;
+            let words = (all - self.taken).min(CHUNK as u64) as usize;
             self.take(&zeros[..words], &mut |_| ());
         }
     }
 }
 
 /// Receives a rank's part of an array that its root shares out, in the line order of its region.
-pub fn receive(peers: &dyn Peers, regions: &Regions, own: &mut dyn FnMut(&[f32])) {
+pub fn receive(communicator: &dyn Communicator, regions: &Regions, own: &mut dyn FnMut(&[f32])) {
     let cut = Cut::new(regions);
     let mut share = Vec::new();
-    for block in cut.in_line_order() {
-        let words = cut.shared_words(&block, peers.rank());
+    for chunk in cut.in_line_order() {
+        let words = cut.shared_words(&chunk, communicator.rank());
         if words > 0 {
             share.resize(words, 0.0);
-            peers.receive(0, bytemuck::cast_slice_mut(&mut share));
+            communicator.receive(0, bytemuck::cast_slice_mut(&mut share));
             own(&share);
         }
     }
 }
 
-/// Puts blocks together from the shares of all ranks, as their root.
-struct Gather<'a, 'p> {
-    peers: &'a dyn Peers,
+/// Puts chunks together from the shares of all ranks, as their root.
+struct Gather<'a> {
+    communicator: &'a dyn Communicator,
     cut: Cut<'a>,
     buffer: Vec<f32>,
     share: Vec<f32>,
-    put: &'a mut Put<'p>,
+    sink: &'a mut dyn NumberSink,
     result: io::Result<()>,
 }
 
-impl Gather<'_, '_> {
-    /// Puts a block together and passes it on, unless something went wrong before.
-    fn block(&mut self, block: &Block, own: &[f32]) {
-        let Self { peers, cut, buffer, share, put, result } = self;
-        buffer.resize(cut.words(block), 0.0);
-        for rank in cut.ranks(block) {
-            let words = if rank == peers.rank() {
+impl Gather<'_> {
+    /// Puts a chunk together and passes it on, unless something went wrong before.
+    fn chunk(&mut self, chunk: &Chunk, own: &[f32]) {
+        let Self { communicator, cut, buffer, share, sink, result } = self;
+        buffer.resize(cut.words(chunk), 0.0);
+        for rank in cut.ranks(chunk) {
+            let words = if rank == communicator.rank() {
                 own
             } else {
-                share.resize(cut.shared_words(block, rank), 0.0);
-                peers.receive(rank, bytemuck::cast_slice_mut(share));
+                share.resize(cut.shared_words(chunk, rank), 0.0);
+                communicator.receive(rank, bytemuck::cast_slice_mut(share));
                 share.as_slice()
             };
             let mut from = words;
-            for place in cut.places(block, rank) {
+            for place in cut.places(chunk, rank) {
                 let (row, rest) = from.split_at(place.len());
                 buffer[place].copy_from_slice(row);
                 from = rest;
             }
         }
         if result.is_ok() {
-            *result = put(buffer);
+            *result = sink.put(buffer);
         }
     }
 }
 
-/// Puts an array in line order together. Each rank gives its own part of it, in pieces in the line
-/// order of its region; the root passes the whole on to `put`.
+/// Puts an array in line order together. Each rank gives its own part of it, an array of `own` in
+/// the line order of its region; the root puts the whole into `sink`.
 ///
 /// # Errors
-/// What `put` reports.
+/// What `sink` reports.
 pub fn gather(
-    peers: &dyn Peers,
+    communicator: &dyn Communicator,
     regions: &Regions,
-    own: &mut dyn FnMut(&mut Put<'_>) -> io::Result<()>,
-    put: &mut Put<'_>,
+    (own, index): (&dyn ArraySource, usize),
+    sink: &mut dyn NumberSink,
 ) -> io::Result<()> {
     let cut = Cut::new(regions);
-    let blocks = cut.in_line_order();
-    let mut blocks = blocks.iter().peekable();
+    let chunks = cut.in_line_order();
+    let mut chunks = chunks.iter().peekable();
     let mut waiting = Vec::new();
-    let rank = peers.rank();
-    let share = |block: &Block| Cut::new(regions).shared_words(block, rank);
+    let rank = communicator.rank();
+    let share = |chunk: &Chunk| Cut::new(regions).shared_words(chunk, rank);
     if rank != 0 {
-        return own(&mut |piece| {
+        return own.array(index, &mut |piece: &[f32]| {
             waiting.extend_from_slice(piece);
-            while let Some(block) = blocks.next_if(|block| share(block) <= waiting.len()) {
-                let words = share(block);
+            while let Some(chunk) = chunks.next_if(|chunk| share(chunk) <= waiting.len()) {
+                let words = share(chunk);
                 if words > 0 {
-                    peers.send(0, bytemuck::cast_slice(&waiting[..words]));
+                    communicator.send(0, bytemuck::cast_slice(&waiting[..words]));
                     waiting.drain(..words);
                 }
             }
@@ -239,52 +239,52 @@ pub fn gather(
         });
     }
     let (buffer, spare) = (Vec::new(), Vec::new());
-    let mut whole = Gather { peers, cut, buffer, share: spare, put, result: Ok(()) };
-    let given = own(&mut |piece| {
+    let mut whole = Gather { communicator, cut, buffer, share: spare, sink, result: Ok(()) };
+    let given = own.array(index, &mut |piece: &[f32]| {
         waiting.extend_from_slice(piece);
-        while let Some(block) = blocks.next_if(|block| share(block) <= waiting.len()) {
-            let words = share(block);
-            whole.block(block, &waiting[..words]);
+        while let Some(chunk) = chunks.next_if(|chunk| share(chunk) <= waiting.len()) {
+            let words = share(chunk);
+            whole.chunk(chunk, &waiting[..words]);
             waiting.drain(..words);
         }
         Ok(())
     });
-    blocks.for_each(|block| whole.block(block, &[]));
+    chunks.for_each(|chunk| whole.chunk(chunk, &[]));
     given.and(whole.result)
 }
 
-/// Puts a tile together in C order. Each rank gives its region in line order; the root passes the
-/// tile on to `put`.
+/// Puts a tile together in C order. Each rank gives its region in line order; the root puts the
+/// tile into `sink`.
 ///
 /// # Errors
-/// What `put` reports.
+/// What `sink` reports.
 pub fn gather_tile(
-    peers: &dyn Peers,
+    communicator: &dyn Communicator,
     regions: &Regions,
     own: &[f32],
-    put: &mut Put<'_>,
+    sink: &mut dyn NumberSink,
 ) -> io::Result<()> {
     let cut = Cut::new(regions);
-    let blocks = cut.in_c_order();
-    let (rank, place) = (peers.rank(), regions.own().place());
+    let chunks = cut.in_c_order();
+    let (rank, place) = (communicator.rank(), regions.own().place());
     let row = place.width * cut.pixel;
-    let share = |block: &Block| -> Vec<f32> {
-        let t = block.frames.start;
-        let rows = Cut::new(regions).share(block, rank).map(|y| {
+    let share = |chunk: &Chunk| -> Vec<f32> {
+        let t = chunk.frames.start;
+        let rows = Cut::new(regions).share(chunk, rank).map(|y| {
             let start = ((y - place.y) * regions.own().tile().frames() + t) * row;
             &own[start..start + row]
         });
         rows.collect::<Vec<&[f32]>>().concat()
     };
     if rank != 0 {
-        for words in blocks.iter().map(share).filter(|words| !words.is_empty()) {
-            peers.send(0, bytemuck::cast_slice(&words));
+        for words in chunks.iter().map(share).filter(|words| !words.is_empty()) {
+            communicator.send(0, bytemuck::cast_slice(&words));
         }
         return Ok(());
     }
     let (buffer, spare) = (Vec::new(), Vec::new());
-    let mut whole = Gather { peers, cut, buffer, share: spare, put, result: Ok(()) };
-    blocks.iter().for_each(|block| whole.block(block, &share(block)));
+    let mut whole = Gather { communicator, cut, buffer, share: spare, sink, result: Ok(()) };
+    chunks.iter().for_each(|chunk| whole.chunk(chunk, &share(chunk)));
     whole.result
 }
 
@@ -292,7 +292,7 @@ pub fn gather_tile(
 mod tests {
     use super::*;
     use crate::tile::{Partition, Reach};
-    use perceptile_cluster::peers::Threads;
+    use perceptile_cluster::communicator::InProcess;
     use proptest::prelude::*;
 
     /// The numbers of a tile in C order, each of them another.
@@ -328,15 +328,15 @@ mod tests {
             let whole = in_line_order(shape, crate::tile::Region::whole(shape).place());
             let in_c_order: Vec<f32> = (0..shape.coordinates()).map(|i| i as f32).collect();
             std::thread::scope(|scope| {
-                for peers in Threads::group(ranks) {
+                for communicator in InProcess::group(ranks) {
                     let (partition, whole, in_c_order) = (&partition, &whole, &in_c_order);
                     scope.spawn(move || {
-                        let regions = partition.regions(ranks, peers.rank()).unwrap();
+                        let regions = partition.regions(ranks, communicator.rank()).unwrap();
                         let mine = in_line_order(shape, regions.own().place());
                         // Two arrays, one after the other, of which the second may break off.
                         let mut found = Vec::new();
-                        if peers.rank() == 0 {
-                            let mut scatter = Scatter::new(&peers, &regions);
+                        if communicator.rank() == 0 {
+                            let mut scatter = Scatter::new(&communicator, &regions);
                             let given = fails.map_or(whole.len(), |at| at.min(whole.len()));
                             for piece in whole.chunks(size).chain(whole[..given].chunks(size)) {
                                 scatter.take(piece, &mut |own| found.extend_from_slice(own));
@@ -344,7 +344,7 @@ mod tests {
                             scatter.make_up(2);
                         } else {
                             for _ in 0..2 {
-                                receive(&peers, &regions, &mut |own| found.extend_from_slice(own));
+                                receive(&communicator, &regions, &mut |own| found.extend_from_slice(own));
                             }
                         }
                         assert_eq!(found[..mine.len()], mine);
@@ -354,13 +354,15 @@ mod tests {
 
                         for wrong in [None, fails] {
                             let mut found = Vec::new();
-                            let mut own = |put: &mut Put<'_>| mine.chunks(size).try_for_each(put);
-                            let result = gather(&peers, &regions, &mut own, &mut |piece| {
+                            let own = |_: usize, sink: &mut dyn NumberSink| {
+                                mine.chunks(size).try_for_each(|piece| sink.put(piece))
+                            };
+                            let result = gather(&communicator, &regions, (&own, 0), &mut |piece: &[f32]| {
                                 found.extend_from_slice(piece);
                                 let ok = wrong.is_none_or(|at| found.len() <= at);
                                 if ok { Ok(()) } else { Err(io::Error::other("full")) }
                             });
-                            if peers.rank() == 0 {
+                            if communicator.rank() == 0 {
                                 let fits = wrong.is_none_or(|at| whole.len() <= at);
                                 assert_eq!(result.is_ok(), fits);
                                 if fits {
@@ -369,12 +371,12 @@ mod tests {
                             }
                         }
                         let mut tile = Vec::new();
-                        gather_tile(&peers, &regions, &mine, &mut |piece| {
+                        gather_tile(&communicator, &regions, &mine, &mut |piece: &[f32]| {
                             tile.extend_from_slice(piece);
                             Ok(())
                         })
                         .unwrap();
-                        if peers.rank() == 0 {
+                        if communicator.rank() == 0 {
                             assert_eq!(&tile, in_c_order);
                         }
                     });

@@ -7,24 +7,27 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant, SystemTime};
 
 use perceptile_cluster::codec::{self, CodecError};
-use perceptile_cluster::{Ends, World};
+use perceptile_cluster::{Ends, Worker};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::measure::{DETAILED, TRACED};
 use super::spans::{Span, SpanProbe};
 use crate::gradient::simd::Simd;
-use crate::run::begin::Begin;
-use crate::run::crew::{self, CrewError, CrewOptions, CrewSummary};
+use crate::run::backend::workers::{self, WorkersOptions};
+use crate::run::driver::{self, Parallel};
+use crate::run::error::RunError;
 use crate::run::observer::Unobserved;
-use crate::run::program::Program;
+use crate::run::plan::Plan;
+use crate::run::start::InitialState;
+use crate::run::summary::{ParallelSummary, WorkersSummary};
 use crate::solver::rounds::{self, Part};
 use crate::solver::{BLOCKS_PER_THREAD, Descent, OptionsError, Phase, Storage};
 use crate::tile::Region;
 
 /// What worker processes make of a descent.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct CrewProfile {
+pub struct WorkersProfile {
     /// Threads of each.
     pub threads: usize,
     /// Steps that were done.
@@ -34,15 +37,15 @@ pub struct CrewProfile {
     /// Seconds of a step in which there is nothing to do: what it costs to go in step.
     pub synchronisation: f64,
     /// What each worker did in all steps.
-    pub workers: CrewSummary,
+    pub workers: WorkersSummary,
 }
 
 /// Why worker processes cannot be profiled.
 #[derive(Debug, Error)]
-pub enum CrewProfileError {
+pub enum WorkersProfileError {
     /// They do not do what they should.
     #[error(transparent)]
-    Crew(#[from] CrewError),
+    Run(#[from] RunError),
     /// There is nothing that they could do.
     #[error(transparent)]
     Options(#[from] OptionsError),
@@ -68,37 +71,40 @@ const MOST: u32 = 1_000_000;
 /// Memory that a report may ask for.
 const LIMIT: usize = 1 << 30;
 
-impl CrewProfile {
+impl WorkersProfile {
     /// Takes the profile of a descent of which a step takes about so many seconds, in about
     /// `time`.
     ///
     /// # Errors
     /// If workers cannot do it.
     pub fn take(
-        program: &Program,
+        plan: &Plan,
         simd: Simd,
-        options: &CrewOptions,
+        options: &WorkersOptions,
         step: f64,
         time: Duration,
-    ) -> Result<Self, CrewProfileError> {
-        let begin = || Begin::new(program, None);
+    ) -> Result<Self, WorkersProfileError> {
+        let start = || InitialState::new(plan, None);
         let steps = (time.as_secs_f64() / step) as u32;
-        let steps = steps.clamp(FEWEST, MOST).min(program.options.steps).max(1);
-        let mut some = program.clone();
+        let steps = steps.clamp(FEWEST, MOST).min(plan.options.steps).max(1);
+        let mut some = plan.clone();
         some.options.stop_after = Some(steps);
         some.options.warp.frames = 0;
-        let made = crew::carry_out(&some, begin()?, simd, options, &mut Unobserved, None)?;
-        let (_, summary, workers) = made;
-        let descent = summary.seconds.iter().filter(|(phase, _)| *phase == Phase::Descent);
+        let parallel = Parallel::Workers(options.clone());
+        let output = driver::run(&some, start()?, simd, parallel, &mut Unobserved, None)?;
+        let ParallelSummary::Workers(workers) = output.parallel else {
+            unreachable!("a run of workers has a summary of workers")
+        };
+        let descent = output.summary.seconds.iter().filter(|(phase, _)| *phase == Phase::Descent);
         let seconds: f64 = descent.map(|(_, seconds)| seconds).sum();
         let task = codec::encode(&Task::Idle { steps: IDLE })?;
-        let (reports, _) = crew::employ(program, begin()?, simd, options, task)?;
+        let reports = workers::run_task(plan, start()?, simd, options, task)?;
         let mut idle = Vec::new();
         for report in reports {
             idle.push(codec::decode::<f64, LIMIT>(&report)?);
         }
         Ok(Self {
-            threads: program.team.threads,
+            threads: plan.parallelism.threads,
             steps,
             step: seconds / f64::from(steps),
             synchronisation: idle.into_iter().fold(0.0, f64::max),
@@ -107,7 +113,7 @@ impl CrewProfile {
     }
 }
 
-impl fmt::Display for CrewProfile {
+impl fmt::Display for WorkersProfile {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { threads, steps, step, synchronisation, workers } = self;
         let count = workers.workers.len();
@@ -142,14 +148,14 @@ impl fmt::Display for CrewProfile {
 /// # Errors
 /// If workers cannot do it.
 pub fn spans(
-    program: &Program,
+    plan: &Plan,
     simd: Simd,
-    options: &CrewOptions,
+    options: &WorkersOptions,
     most: usize,
-) -> Result<Vec<Vec<Span>>, CrewProfileError> {
-    let begin = Begin::new(program, None)?;
-    let task = codec::encode(&Task::Trace { most: most / program.team.all_threads() })?;
-    let (reports, _) = crew::employ(program, begin, simd, options, task)?;
+) -> Result<Vec<Vec<Span>>, WorkersProfileError> {
+    let start = InitialState::new(plan, None)?;
+    let task = codec::encode(&Task::Trace { most: most / plan.parallelism.all_threads() })?;
+    let reports = workers::run_task(plan, start, simd, options, task)?;
     let mut workers = Vec::new();
     for report in reports {
         workers.push(codec::decode::<Vec<Span>, LIMIT>(&report)?);
@@ -159,21 +165,21 @@ pub fn spans(
     Ok(workers)
 }
 
-/// Does as a worker what [`CrewProfile::take`] and [`spans`] ask for.
+/// Does as a worker what [`WorkersProfile::take`] and [`spans`] ask for.
 ///
 /// # Errors
 /// A text for the coordinator.
 pub fn take_part(
     task: &[u8],
-    program: &Program,
-    world: Arc<World>,
+    plan: &Plan,
+    worker: Arc<Worker>,
     storage: Storage,
     simd: Simd,
 ) -> Result<Vec<u8>, String> {
     let report = match codec::decode::<Task, LIMIT>(task).map_err(|error| error.to_string())? {
-        Task::Idle { steps } => codec::encode(&idle(program, &world, steps)),
+        Task::Idle { steps } => codec::encode(&idle(plan, &worker, steps)),
         Task::Trace { most } => {
-            let spans = trace(program, world, storage, simd, most);
+            let spans = trace(plan, worker, storage, simd, most);
             codec::encode(&spans.map_err(|error| error.to_string())?)
         }
     };
@@ -181,16 +187,16 @@ pub fn take_part(
 }
 
 /// Seconds of a step without work: as many rounds and jobs as a step has, and nothing to do.
-fn idle(program: &Program, world: &World, steps: u32) -> f64 {
-    let whole = Region::whole(program.options.shape);
-    let threads = program.team.all_threads();
-    let blocks = program.partition().block_count(whole, threads * BLOCKS_PER_THREAD);
-    let lines = program.options.shape.height();
+fn idle(plan: &Plan, worker: &Worker, steps: u32) -> f64 {
+    let whole = Region::whole(plan.options.shape);
+    let threads = plan.parallelism.all_threads();
+    let blocks = plan.partition().block_count(whole, threads * BLOCKS_PER_THREAD);
+    let lines = plan.options.shape.height();
     let step = |step| {
         for (part, ends, jobs) in
-            [(Part::Pull, Ends::Half, blocks), (Part::Update, Ends::Step, lines)]
+            [(Part::Gradient, Ends::Half, blocks), (Part::Update, Ends::Step, lines)]
         {
-            world.round(rounds::step(Phase::Descent, step, part), ends, 0..jobs, (), |_, ()| ());
+            worker.round(rounds::step(Phase::Descent, step, part), ends, 0..jobs, (), |_, ()| ());
         }
     };
     (0..steps).for_each(step);
@@ -201,19 +207,19 @@ fn idle(program: &Program, world: &World, steps: u32) -> f64 {
 
 /// Spans of a few steps, with times since 1970.
 fn trace(
-    program: &Program,
-    world: Arc<World>,
+    plan: &Plan,
+    worker: Arc<Worker>,
     storage: Storage,
     simd: Simd,
     most: usize,
 ) -> Result<Vec<Span>, OptionsError> {
-    let (gradient, regions) = (program.gradient(simd)?, program.regions(0));
+    let (gradient, regions) = (plan.gradient(simd)?, plan.regions(0));
     let now = Arc::new(AtomicU32::new(0));
     let (zero, since) = (Instant::now(), SystemTime::now());
     let probe = || SpanProbe::new(zero, now.clone(), DETAILED, most);
-    let (adam, steps) = (program.options.adam, program.options.steps);
+    let (adam, steps) = (plan.options.adam, plan.options.steps);
     let mut descent =
-        Descent::enter(world, storage, (gradient, &regions), adam, steps, (simd, 0), probe);
+        Descent::enter(worker, storage, (gradient, &regions), adam, steps, (simd, 0), probe);
     for step in 0..TRACED {
         now.store(step, Ordering::Relaxed);
         descent.step(step);

@@ -1,7 +1,8 @@
 //! Checkpoints of a run: when they are due, what is in them, and how a run goes on from one.
 //!
 //! A folder is made when there is first something to keep in it, so that short runs leave no
-//! trace; one that is there already is taken, or refused, before the run begins.
+//! trace; but whether it can be made is tried before the run begins. One that is there already is
+//! taken then, or refused.
 
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -10,12 +11,12 @@ use std::time::{Duration, Instant};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::format::numbers::Put;
+use crate::format::numbers::ArraySource;
 use crate::format::write::Existing;
-use crate::run::begin::Begin;
 use crate::run::folder::{FolderError, Loaded, RunFolder};
-use crate::run::program::{Position, Program};
-use crate::solver::{Phase, Recorded, Snapshot, Team};
+use crate::run::plan::{Plan, Position};
+use crate::run::start::InitialState;
+use crate::solver::{Parallelism, Phase, Recorded};
 
 /// How often a checkpoint is written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -54,23 +55,23 @@ const ARRAYS: usize = 3;
 /// The array of samples.
 const SAMPLES: usize = 0;
 
-/// How many numbers the arrays of a program's checkpoints have.
-fn lengths(program: &Program) -> [u64; ARRAYS] {
-    [program.options.shape.coordinates() as u64; ARRAYS]
+/// How many numbers the arrays of a plan's checkpoints have.
+fn lengths(plan: &Plan) -> [u64; ARRAYS] {
+    [plan.options.shape.coordinates() as u64; ARRAYS]
 }
 
 /// The head of a checkpoint; samples and both moments, in line order, follow it.
 #[derive(Debug, Serialize, Deserialize)]
 struct Head {
     version: String,
-    program: Program,
+    plan: Plan,
     record: Recorded,
     invocation: String,
 }
 
 /// Writes checkpoints.
 #[derive(Debug)]
-pub struct Keeper {
+pub struct Checkpointer {
     path: PathBuf,
     every: Every,
     invocation: String,
@@ -86,11 +87,11 @@ pub struct Keeper {
 /// A run that is to go on.
 #[derive(Debug)]
 pub struct Resumed {
-    /// What its ranks do.
-    pub program: Program,
-    /// What it had.
-    pub begin: Begin,
-    /// What [`Keeper::new`] was told of how it was started.
+    /// Its plan, from the checkpoint on.
+    pub plan: Plan,
+    /// What the checkpoint holds.
+    pub start: InitialState,
+    /// How it was started, as [`Checkpointer::new`] had it.
     pub invocation: String,
     /// Checkpoints that could not be used, and why not.
     pub damaged: Vec<String>,
@@ -123,18 +124,18 @@ pub enum ResumeError {
     },
 }
 
-impl Keeper {
-    /// Keeps a run in a folder. `invocation` is for whoever lets it go on.
+impl Checkpointer {
+    /// Writes the checkpoints of a run to a folder. `invocation` is for whoever lets it go on.
     ///
     /// # Errors
-    /// A folder that is there and cannot be taken.
+    /// A folder that cannot be made, or is there and cannot be taken.
     pub fn new(
         path: &Path,
         every: Every,
         existing: Existing,
         invocation: String,
     ) -> Result<Self, FolderError> {
-        let mut keeper = Self {
+        let mut checkpointer = Self {
             path: path.to_owned(),
             every,
             invocation,
@@ -146,17 +147,31 @@ impl Keeper {
         };
         // Also a link that leads nowhere is something that is there.
         if path.symlink_metadata().is_ok() {
-            keeper.folder()?;
+            checkpointer.folder()?;
+        } else {
+            Self::probe(path, existing)?;
         }
-        Ok(keeper)
+        Ok(checkpointer)
     }
 
-    /// Looks at the newest checkpoint of a folder that can be used, for a team to go on from. Its
+    /// Checks that [`Self::new`] could write to a folder now, and leaves no trace.
+    ///
+    /// # Errors
+    /// As for [`Self::new`].
+    pub fn probe(path: &Path, existing: Existing) -> Result<(), FolderError> {
+        RunFolder::probe(path, existing)
+    }
+
+    /// Looks at the newest checkpoint of a folder that can be used, for so many ranks, workers and threads to go on from. Its
     /// arrays are checked, but read only when the run begins.
     ///
     /// # Errors
     /// A folder that cannot be used, a run of another version, and what no run can go on from.
-    pub fn resume(path: &Path, every: Every, team: Team) -> Result<(Self, Resumed), ResumeError> {
+    pub fn resume(
+        path: &Path,
+        every: Every,
+        parallelism: Parallelism,
+    ) -> Result<(Self, Resumed), ResumeError> {
         let mut folder = RunFolder::open(path)?;
         let mut stray = None;
         let loaded = folder.newest::<Head>(&mut |number, array, piece| {
@@ -165,16 +180,16 @@ impl Keeper {
             }
         })?;
         let Loaded { number, head, arrays, damaged } = loaded;
-        let Head { version, program, record, invocation } = head;
+        let Head { version, plan, record, invocation } = head;
         if version != env!("CARGO_PKG_VERSION") {
             return Err(ResumeError::Version { path: path.to_owned(), found: version });
         }
         let content =
             |rule: &str| ResumeError::Content { path: path.to_owned(), rule: rule.to_owned() };
-        let from = program.from;
+        let from = plan.from;
         let most = match from.phase {
-            Phase::Descent => program.options.steps,
-            Phase::Polish => program.options.polish.steps,
+            Phase::Descent => plan.options.steps,
+            Phase::Polish => plan.options.polish.steps,
             Phase::Start | Phase::Warp => return Err(content("its phase has no steps")),
         };
         if from.step > most {
@@ -183,23 +198,23 @@ impl Keeper {
         if arrays.lengths().len() != ARRAYS {
             return Err(content("it does not hold samples and two moments"));
         }
-        if arrays.lengths() != lengths(&program) {
+        if arrays.lengths() != lengths(&plan) {
             return Err(content("it holds another number of coordinates than its tile has"));
         }
         if stray == Some(number) {
             return Err(content("it holds samples outside [0, 1)"));
         }
-        let program =
-            Program { team, ..program }.checked().map_err(|error| content(&error.to_string()))?;
-        let done = program.steps_done(from);
+        let plan =
+            Plan { parallelism, ..plan }.checked().map_err(|error| content(&error.to_string()))?;
+        let done = plan.steps_done(from);
         let damaged = damaged.iter().map(|(path, error)| format!("{}: {error}", path.display()));
         let resumed = Resumed {
-            program,
-            begin: Begin::kept(arrays, record),
+            plan,
+            start: InitialState::checkpoint(arrays, record),
             invocation: invocation.clone(),
             damaged: damaged.collect(),
         };
-        let keeper = Self {
+        let checkpointer = Self {
             path: path.to_owned(),
             every,
             invocation,
@@ -209,10 +224,10 @@ impl Keeper {
             tried_at: done,
             saved_at: Some(done),
         };
-        Ok((keeper, resumed))
+        Ok((checkpointer, resumed))
     }
 
-    /// Where the run is kept.
+    /// The folder.
     pub fn path(&self) -> &Path {
         &self.path
     }
@@ -245,24 +260,23 @@ impl Keeper {
     /// due as if this one had been written.
     pub fn save(
         &mut self,
-        program: &Program,
+        plan: &Plan,
         at: Position,
         record: Recorded,
-        state: &dyn Snapshot,
+        state: &dyn ArraySource,
     ) -> Result<(), FolderError> {
-        let done = program.steps_done(at);
+        let done = plan.steps_done(at);
         (self.tried, self.tried_at) = (Instant::now(), done);
         if self.saved_at == Some(done) {
             return Ok(());
         }
         let head = Head {
             version: env!("CARGO_PKG_VERSION").into(),
-            program: Program { from: at, ..program.clone() },
+            plan: Plan { from: at, ..plan.clone() },
             record,
             invocation: self.invocation.clone(),
         };
-        let array = &mut |index: usize, put: &mut Put<'_>| state.array(index, put);
-        self.folder()?.save(u64::from(done) + 1, &head, &lengths(program), array)?;
+        self.folder()?.save(u64::from(done) + 1, &head, &lengths(plan), state)?;
         self.saved_at = Some(done);
         Ok(())
     }
@@ -290,6 +304,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+    use crate::format::numbers::NumberSink;
     use crate::solver::{Options, Preset, Record, StoragePlan};
     use crate::tile::{Partition, Reach, Region, TileShape};
 
@@ -299,41 +314,42 @@ mod tests {
         size: usize,
     }
 
-    impl Snapshot for Pieces {
-        fn array(&self, index: usize, put: &mut Put<'_>) -> io::Result<()> {
-            self.arrays[index].chunks(self.size).try_for_each(put)
+    impl ArraySource for Pieces {
+        fn array(&self, index: usize, sink: &mut dyn NumberSink) -> io::Result<()> {
+            self.arrays[index].chunks(self.size).try_for_each(|piece| sink.put(piece))
         }
     }
 
-    /// A program of few numbers, at a step of its descent.
-    fn program(step: u32) -> Program {
+    /// A plan of few numbers, at a step of its descent.
+    fn plan(step: u32) -> Plan {
         let shape = TileShape::new(5, 4, 3, 1, 2).unwrap();
         let kernel = "gaussian(1) @ 3x3x1".parse().unwrap();
         let options = Options { shape, kernel, ..Preset::Quick.options() };
-        let program = Program::new(&options, Team::alone()).unwrap();
-        Program { from: Position { phase: Phase::Descent, step }, ..program }
+        let plan = Plan::new(&options, Parallelism::threads()).unwrap();
+        Plan { from: Position { phase: Phase::Descent, step }, ..plan }
     }
 
     /// Its arrays, all numbers different, and a record.
-    fn state(program: &Program, size: usize) -> (Pieces, std::sync::Arc<Record>) {
-        let count = program.options.shape.coordinates();
+    fn state(plan: &Plan, size: usize) -> (Pieces, std::sync::Arc<Record>) {
+        let count = plan.options.shape.coordinates();
         let array = |k: usize| (0..count).map(move |i| (i * 3 + k) as f32 / (3 * count) as f32);
         let arrays = (0..3).map(|k| array(k).collect()).collect();
-        let shape = program.options.shape;
+        let shape = plan.options.shape;
         let partition = Partition::new(shape, Reach::default());
-        let plan = StoragePlan::new(&partition, Region::whole(shape), Team::alone());
+        let plan = StoragePlan::new(&partition, Region::whole(shape), Parallelism::threads());
         let (_, storage) = plan.private().unwrap();
         (Pieces { arrays, size }, storage.record)
     }
 
-    fn save(path: &Path, program: &Program, state: &Pieces, record: &Record) {
-        let mut keeper =
-            Keeper::new(path, Every::Steps(1), Existing::Replace, "how".into()).unwrap();
-        keeper.save(program, program.from, record.read(), state).unwrap();
+    fn save(path: &Path, plan: &Plan, state: &Pieces, record: &Record) {
+        let mut checkpointer =
+            Checkpointer::new(path, Every::Steps(1), Existing::Replace, "how".into()).unwrap();
+        checkpointer.save(plan, plan.from, record.read(), state).unwrap();
     }
 
     fn resume(path: &Path) -> Result<Resumed, ResumeError> {
-        Keeper::resume(path, Every::Steps(1), Team::alone()).map(|(_, resumed)| resumed)
+        Checkpointer::resume(path, Every::Steps(1), Parallelism::threads())
+            .map(|(_, resumed)| resumed)
     }
 
     proptest! {
@@ -343,16 +359,16 @@ mod tests {
         fn a_run_goes_on_from_the_arrays_that_were_kept(size in 1_usize..200, step in 0_u32..3) {
             let around = tempfile::tempdir().unwrap();
             let path = around.path().join("run");
-            let program = program(step);
-            let (state, record) = state(&program, size);
-            save(&path, &program, &state, &record);
+            let plan = plan(step);
+            let (state, record) = state(&plan, size);
+            save(&path, &plan, &state, &record);
             let mut resumed = resume(&path).unwrap();
-            prop_assert_eq!(&resumed.program, &program);
+            prop_assert_eq!(&resumed.plan, &plan);
             prop_assert_eq!(resumed.invocation, "how");
-            prop_assert_eq!(resumed.begin.record(), &record.read());
+            prop_assert_eq!(resumed.start.record(), &record.read());
             let mut arrays = vec![Vec::new(); 3];
             let read: Result<(), FolderError> =
-                resumed.begin.read(&program, &mut |array, piece| {
+                resumed.start.read(&plan, &mut |array, piece| {
                     arrays[array].extend(piece);
                     Ok(())
                 });
@@ -362,9 +378,9 @@ mod tests {
             prop_assert_eq!(&arrays[..kept], &state.arrays[..kept]);
             prop_assert!(arrays[kept..].iter().all(Vec::is_empty));
 
-            let (world, mut storage) = program.storage(Region::whole(program.options.shape)).private().unwrap();
-            resumed.begin.put(&program, &world, &mut storage).unwrap();
-            let tile = storage.tile_mut(program.options.shape);
+            let (worker, mut storage) = plan.storage(Region::whole(plan.options.shape)).private().unwrap();
+            resumed.start.put(&plan, &worker, &mut storage).unwrap();
+            let tile = storage.tile_mut(plan.options.shape);
             prop_assert_eq!(&*tile, state.arrays[0].as_slice());
             let count = arrays[0].len();
             for (section, moments) in [(&storage.first, &arrays[1]), (&storage.second, &arrays[2])] {
@@ -375,16 +391,40 @@ mod tests {
     }
 
     #[test]
+    fn a_folder_that_cannot_be_written_is_found_out_before_the_first_step() {
+        let around = tempfile::tempdir().unwrap();
+        let at = |name: &str| around.path().join(name);
+        let new = |path: &Path| {
+            Checkpointer::new(path, Every::Steps(1), Existing::Keep, "how".into()).map(drop)
+        };
+        std::fs::write(at("file"), "").unwrap();
+        for (name, part) in
+            [("no/run", "there is no folder"), ("file/run", "no folder"), ("file", "not a folder")]
+        {
+            for result in [new(&at(name)), Checkpointer::probe(&at(name), Existing::Keep)] {
+                let error = result.unwrap_err().to_string();
+                assert!(error.contains(part), "{error}");
+            }
+        }
+        // Where it can, it comes with the first checkpoint.
+        new(&at("run")).unwrap();
+        assert!(!at("run").exists());
+        std::fs::create_dir(at("run")).unwrap();
+        Checkpointer::probe(&at("run"), Existing::Keep).unwrap();
+        assert_eq!(std::fs::read_dir(at("run")).unwrap().count(), 0);
+    }
+
+    #[test]
     fn what_no_run_can_go_on_from_is_named() {
         let around = tempfile::tempdir().unwrap();
         let path = around.path().join("run");
-        let program = program(2);
+        let plan = plan(2);
         for (bad, stray) in [(1.0, true), (-0.5, true), (f32::NAN, true), (0.999, false)] {
-            let (mut state, record) = state(&program, 7);
+            let (mut state, record) = state(&plan, 7);
             state.arrays[0][33] = bad;
             // Moments may be anything.
             state.arrays[1][33] = -7.0;
-            save(&path, &program, &state, &record);
+            save(&path, &plan, &state, &record);
             match resume(&path) {
                 Err(error) => {
                     assert!(stray && error.to_string().contains("outside [0, 1)"), "{error}")
@@ -396,16 +436,17 @@ mod tests {
             let mut folder = RunFolder::create(&path, Existing::Replace).unwrap();
             let head = Head {
                 version: env!("CARGO_PKG_VERSION").into(),
-                program: program.clone(),
+                plan: plan.clone(),
                 record: Recorded::default(),
                 invocation: String::new(),
             };
-            let array = &mut |i: usize, put: &mut Put<'_>| put(&vec![0.5; lengths[i] as usize]);
+            let array =
+                &|i: usize, sink: &mut dyn NumberSink| sink.put(&vec![0.5; lengths[i] as usize]);
             folder.save(1, &head, lengths, array).unwrap();
             drop(folder);
             resume(&path).map(|_| ()).map_err(|error| error.to_string())
         };
-        let count = program.options.shape.coordinates() as u64;
+        let count = plan.options.shape.coordinates() as u64;
         assert_eq!(kept(&[count; 3]), Ok(()));
         for (lengths, part) in [
             (&[count; 2][..], "samples and two moments"),
@@ -422,8 +463,8 @@ mod tests {
     fn samples_of_a_damaged_checkpoint_say_nothing_of_the_one_that_is_used() {
         let around = tempfile::tempdir().unwrap();
         let path = around.path().join("run");
-        let (state, record) = state(&program(1), 7);
-        save(&path, &program(1), &state, &record);
+        let (state, record) = state(&plan(1), 7);
+        save(&path, &plan(1), &state, &record);
         // The newer one has samples that are none, but is damaged as well.
         let good = path.join("checkpoint-2");
         let mut bytes = std::fs::read(&good).unwrap();
@@ -431,7 +472,7 @@ mod tests {
         bytes[samples..samples + 4].copy_from_slice(&7.0_f32.to_le_bytes());
         std::fs::write(path.join("checkpoint-3"), bytes).unwrap();
         let resumed = resume(&path).unwrap();
-        assert_eq!(resumed.program, program(1));
+        assert_eq!(resumed.plan, plan(1));
         assert!(resumed.damaged.len() == 1 && resumed.damaged[0].contains("checkpoint-3"));
     }
 

@@ -1,19 +1,20 @@
 //! What a run leaves behind: the tile, its provenance and its picture.
 
-use std::io;
+use std::cell::RefCell;
 use std::path::{Path, PathBuf};
 
+use crate::format::claim::Claim;
 use crate::format::hashed::Hashed;
 use crate::format::npy;
-use crate::format::numbers::Put;
+use crate::format::numbers::{ArraySource, NumberSink};
 use crate::format::picture::Preview;
 use crate::format::sidecar::Sidecar;
 use crate::format::write::{self, Existing, WriteError};
-use crate::tile::{Tile, TileShape};
+use crate::tile::TileShape;
 
 /// The files of a run.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Outputs {
+pub struct OutputFiles {
     /// The tile: `NAME.npy`.
     pub tile: PathBuf,
     /// Its provenance and scores: `NAME.json`.
@@ -22,7 +23,7 @@ pub struct Outputs {
     pub picture: PathBuf,
 }
 
-impl Outputs {
+impl OutputFiles {
     /// The files that go with a tile's path.
     pub fn of(tile: &Path) -> Self {
         Self {
@@ -40,54 +41,63 @@ impl Outputs {
         write::probe([&self.tile, &self.sidecar, &self.picture], existing)
     }
 
-    /// Writes all, the tile first. `sidecar` says where the tile comes from when its SHA-256 is
-    /// known.
-    ///
-    /// # Errors
-    /// What the system reports; files that exist stay as they are unless they may be replaced.
-    pub fn write(
-        &self,
-        tile: &Tile,
-        existing: Existing,
-        sidecar: impl FnOnce(String) -> Sidecar,
-    ) -> Result<(), WriteError> {
-        self.write_streamed(tile.shape(), existing, &mut |put| put(tile.samples()), sidecar)
+    /// Which of the files a path is, if it is one of them.
+    pub fn find(&self, path: &Path) -> Option<&Path> {
+        let whole = |path: &Path| {
+            let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+            let folder = folder.unwrap_or(Path::new(".")).canonicalize().ok()?;
+            Some(folder.join(path.file_name()?))
+        };
+        let wanted = whole(path)?;
+        let files = [&self.tile, &self.sidecar, &self.picture];
+        files.into_iter().map(PathBuf::as_path).find(|file| whole(file).as_ref() == Some(&wanted))
     }
 
-    /// Writes all of a tile that is never whole here: `pieces` hands its coordinates over, in C
-    /// order, to what it is called with.
+    /// Claims all, so that no other run works for the same ones until they are dropped.
     ///
     /// # Errors
-    /// As for [`Self::write`]; what `pieces` reports, and more or fewer coordinates than the shape
-    /// has: then there is no file of this tile.
-    pub fn write_streamed(
+    /// The first that another run claims, and as for [`Self::probe`].
+    pub fn claim(&self, existing: Existing) -> Result<[Claim; 3], WriteError> {
+        self.probe(existing)?;
+        let claim = |path| Claim::new(path, existing);
+        Ok([claim(&self.tile)?, claim(&self.sidecar)?, claim(&self.picture)?])
+    }
+
+    /// Writes all, the tile first: array 0 of `tile`, in C order, which need never be whole here.
+    /// `sidecar` says where the tile comes from when its SHA-256 is known.
+    ///
+    /// # Errors
+    /// What the system or `tile` reports, and more or fewer coordinates than the shape has: then
+    /// there is no file of this tile. Files that exist stay as they are unless they may be replaced.
+    pub fn write(
         &self,
         shape: TileShape,
+        tile: &dyn ArraySource,
         existing: Existing,
-        pieces: &mut dyn FnMut(&mut Put<'_>) -> io::Result<()>,
         sidecar: impl FnOnce(String) -> Sidecar,
     ) -> Result<(), WriteError> {
-        let mut preview = Preview::new(shape);
+        let preview = RefCell::new(Preview::new(shape));
+        let seen = |_: usize, sink: &mut dyn NumberSink| {
+            tile.array(0, &mut |piece: &[f32]| {
+                preview.borrow_mut().take(piece);
+                sink.put(piece)
+            })
+        };
         let mut digest = String::new();
         write::write(&self.tile, existing, |out| {
             let mut hashed = Hashed::new(out);
-            npy::write_rows(shape, &mut hashed, &mut |put| {
-                pieces(&mut |piece| {
-                    preview.take(piece);
-                    put(piece)
-                })
-            })?;
+            npy::write_pieces(shape, &mut hashed, &seen)?;
             digest = hashed.hexadecimal();
             Ok(())
         })?;
         sidecar(digest).write(&self.sidecar, existing)?;
-        preview.image().save(&self.picture, existing)
+        preview.into_inner().image().save(&self.picture, existing)
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use std::fs;
+    use std::{fs, io};
 
     use sha2::{Digest, Sha256};
 
@@ -115,19 +125,43 @@ mod tests {
     }
 
     #[test]
+    fn runs_that_share_any_file_exclude_each_other() {
+        let folder = tempfile::tempdir().unwrap();
+        let outputs = |name: &str| OutputFiles::of(&folder.path().join(name));
+        let claims = outputs("tile.npy").claim(Existing::Keep).unwrap();
+        for (name, shared) in [("tile.npy", "tile.npy"), ("tile.other", "tile.json")] {
+            let error = outputs(name).claim(Existing::Replace).unwrap_err();
+            assert!(matches!(&error, WriteError::Claimed { .. }), "{error}");
+            assert!(error.to_string().contains(shared), "{error}");
+        }
+        outputs("other.npy").claim(Existing::Keep).unwrap();
+        // Its own are not in its way.
+        let shape = TileShape::new(7, 5, 3, 2, 3).unwrap();
+        let tile = Baseline::White.tile(shape, 4);
+        let write = |sha256| provenance(shape, sha256);
+        outputs("tile.npy").write(tile.shape(), &tile, Existing::Keep, write).unwrap();
+        drop(claims);
+        let error = outputs("tile.npy").claim(Existing::Keep).unwrap_err();
+        assert!(matches!(error, WriteError::Exists { .. }), "{error}");
+        let twice = outputs("twice.png").claim(Existing::Keep).unwrap_err();
+        assert!(matches!(twice, WriteError::Twice { .. }), "{twice}");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 3);
+    }
+
+    #[test]
     fn a_tile_in_pieces_leaves_the_files_of_the_whole() {
         let folder = tempfile::tempdir().unwrap();
         let shape = TileShape::new(7, 5, 3, 2, 3).unwrap();
         let tile = Baseline::White.tile(shape, 4);
         let files = |name: &str| {
-            let outputs = Outputs::of(&folder.path().join(name));
+            let outputs = OutputFiles::of(&folder.path().join(name));
             let read = |path: &Path| fs::read(path).unwrap();
             (outputs.clone(), move || {
                 [&outputs.tile, &outputs.sidecar, &outputs.picture].map(|path| read(path))
             })
         };
         let (whole, read) = files("whole.npy");
-        whole.write(&tile, Existing::Keep, |sha256| provenance(shape, sha256)).unwrap();
+        whole.write(shape, &tile, Existing::Keep, |sha256| provenance(shape, sha256)).unwrap();
         let expected = read();
         let mut npy = Vec::new();
         npy::write_tile(&tile, &mut npy).unwrap();
@@ -141,9 +175,11 @@ mod tests {
 
         for size in [1, 13, 100, shape.coordinates() + 1] {
             let (outputs, read) = files(&format!("{size}.npy"));
-            let pieces = &mut |put: &mut Put<'_>| tile.samples().chunks(size).try_for_each(put);
+            let pieces = |_: usize, sink: &mut dyn NumberSink| {
+                tile.samples().chunks(size).try_for_each(|piece| sink.put(piece))
+            };
             outputs
-                .write_streamed(shape, Existing::Keep, pieces, |sha256| provenance(shape, sha256))
+                .write(shape, &pieces, Existing::Keep, |sha256| provenance(shape, sha256))
                 .unwrap();
             assert_eq!(read(), expected);
         }
@@ -153,20 +189,19 @@ mod tests {
     fn a_tile_that_is_not_complete_leaves_no_file() {
         let folder = tempfile::tempdir().unwrap();
         let shape = TileShape::new(7, 5, 3, 2, 3).unwrap();
-        let outputs = Outputs::of(&folder.path().join("tile.npy"));
+        let outputs = OutputFiles::of(&folder.path().join("tile.npy"));
         let count = shape.coordinates();
         for (count, fails, part) in [
             (count - 1, false, "instead of"),
             (count + 1, false, "more than"),
             (3, true, "the others are gone"),
         ] {
-            let pieces = &mut |put: &mut Put<'_>| {
-                put(&vec![0.5; count])?;
+            let pieces = |_: usize, sink: &mut dyn NumberSink| {
+                sink.put(&vec![0.5; count])?;
                 if fails { Err(io::Error::other("the others are gone")) } else { Ok(()) }
             };
-            let error = outputs
-                .write_streamed(shape, Existing::Keep, pieces, |_| panic!("no tile"))
-                .unwrap_err();
+            let error =
+                outputs.write(shape, &pieces, Existing::Keep, |_| panic!("no tile")).unwrap_err();
             assert!(error.to_string().contains(part), "{error}");
             assert!(error.to_string().contains("tile.npy"), "{error}");
             assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);

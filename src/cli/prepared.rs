@@ -1,0 +1,48 @@
+//! A run that is ready to start: what to do, what from, and which files are the root's.
+
+use std::path::PathBuf;
+
+use perceptile::format::claim::Claim;
+use perceptile::format::write::Existing;
+use perceptile::run::checkpointer::Checkpointer;
+use perceptile::run::output::OutputFiles;
+use perceptile::run::plan::Plan;
+use perceptile::run::start::InitialState;
+use serde::{Deserialize, Serialize};
+
+use super::settings::Settings;
+
+/// What a run was asked for, as its checkpoints keep it.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct Invocation {
+    /// The settings.
+    pub settings: Settings,
+    /// Where the tile goes, from the root of the file system on: a run can be resumed anywhere.
+    pub out: PathBuf,
+    /// Integrands of each class that it is scored on.
+    pub integrands: usize,
+}
+
+/// A run that is ready to start.
+pub struct PreparedRun {
+    /// What to do.
+    pub plan: Plan,
+    /// What from.
+    pub start: InitialState,
+    /// Its files, which are the root's.
+    pub files: Option<Files>,
+}
+
+/// The files of a run.
+pub struct Files {
+    /// What it was asked for.
+    pub invocation: Invocation,
+    /// The files that it leaves.
+    pub outputs: OutputFiles,
+    /// Whether they may be replaced.
+    pub existing: Existing,
+    /// Writes its checkpoints.
+    pub checkpointer: Checkpointer,
+    /// Keeps other runs from the outputs.
+    pub claims: [Claim; 3],
+}

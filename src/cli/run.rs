@@ -1,0 +1,266 @@
+//! A run that is ready: it is done, its tile is scored, and its files are written.
+
+use std::path::Path;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::time::{Duration, Instant, SystemTime};
+
+use clap::Args;
+use perceptile::format::numbers::ArraySource;
+use perceptile::format::sidecar::{self, Sidecar};
+use perceptile::metric::{ScoreOptions, Scorer, Scores};
+#[cfg(unix)]
+use perceptile::run::backend::workers::WorkersOptions;
+use perceptile::run::checkpointer::Every;
+use perceptile::run::driver::{self, Output, Parallel};
+use perceptile::run::memory;
+use perceptile::run::observer::Observer;
+use perceptile::run::output::OutputFiles;
+use perceptile::run::plan::Plan;
+use perceptile::run::summary::ParallelSummary;
+use perceptile::solver::{Parallelism, StopReason, Summary};
+use perceptile::tile::Tile;
+use perceptile_cluster::communicator::Communicator;
+use perceptile_cluster::faults::FaultPlan;
+use rayon::ThreadPool;
+
+use super::execution::{self, ExecutionArgs};
+use super::exit::{Failure, Misuse};
+use super::prepared::{Files, Invocation, PreparedRun};
+use super::progress::Terminal;
+use super::settings::Settings;
+use super::stream::print;
+use super::{duration, ranks, summary};
+
+/// By whom a run is done, and how it is kept and ended; of no influence on the tile unless it is
+/// stopped.
+#[derive(Debug, Args)]
+pub struct RunArgs {
+    #[command(flatten)]
+    execution: ExecutionArgs,
+
+    /// Stop when this time is up, such as 90s, 10m or 2h, and write what there is
+    #[arg(long, value_parser = duration::parse)]
+    time: Option<Duration>,
+
+    /// Write a checkpoint every so often, such as 60s, 10m or 500steps
+    #[arg(long, value_name = "EVERY", default_value = "60s", value_parser = duration::parse_every)]
+    checkpoint: Every,
+
+    /// Bind each worker to cores of its own, in one NUMA node, with its memory there
+    #[arg(long)]
+    pin: bool,
+
+    /// Workers that may be lost and replaced before the run is given up
+    #[arg(long, value_name = "N", default_value_t = 16)]
+    replacements: u32,
+
+    /// A worker that gives no sign of life for so long counts as lost
+    #[arg(long, value_name = "TIME", default_value = "3s", value_parser = duration::parse_silence)]
+    silence: Duration,
+
+    /// Make workers fail on purpose: the mean life of one and the share that hangs, as 500ms,0.25
+    #[arg(long, value_name = "PLAN", hide = true)]
+    faults: Option<FaultPlan>,
+}
+
+impl RunArgs {
+    /// How many ranks, workers and threads do the run, as one of so many ranks.
+    ///
+    /// # Errors
+    /// If that would be too many, and flags that do not go together.
+    pub fn parallelism(&self, ranks: usize) -> Result<Parallelism, Misuse> {
+        let workers = self.execution.workers();
+        if workers == 0 && (self.pin || self.faults.is_some()) {
+            return Err(Misuse("--pin is for worker processes: see --workers".into()));
+        }
+        if workers > 0 && ranks > 1 {
+            return Err(Misuse("ranks have threads and no workers: leave out --workers".into()));
+        }
+        if cfg!(not(unix)) && workers > 0 {
+            return Err(Misuse("there are no worker processes on this system".into()));
+        }
+        Ok(Parallelism { ranks, ..self.execution.parallelism()? })
+    }
+
+    /// How often a checkpoint is written.
+    pub fn checkpoint(&self) -> Every {
+        self.checkpoint
+    }
+
+    /// Does the run that the root prepares, if it does, together with all ranks.
+    ///
+    /// # Errors
+    /// What `prepare` reports, outputs that cannot be written, too little memory, workers that are
+    /// lost.
+    pub fn run(
+        &self,
+        communicator: &Arc<dyn Communicator>,
+        prepare: impl FnOnce() -> Result<Option<PreparedRun>, Failure>,
+    ) -> Result<ExitCode, Failure> {
+        let mut terminal = Terminal::open(communicator.rank() == 0)
+            .map_err(Failure::refused("cannot listen for signals"))?;
+        let job = ranks::share(&**communicator, || self.execution.threads(), prepare)?;
+        let Some(PreparedRun { plan, start, mut files }) = job else {
+            return Ok(ExitCode::SUCCESS);
+        };
+        let pool = ranks::agree(&**communicator, self.check_in(&plan, files.as_ref()))?;
+        let started = Instant::now();
+        terminal.limit(self.time);
+        let parallel = self.parallel(&plan, communicator, files.as_ref());
+        let (simd, checkpointer) =
+            (self.execution.simd(), files.as_mut().map(|files| &mut files.checkpointer));
+        // Workers end with the thread that starts them, which is one of the pool's.
+        let output = pool
+            .install(|| driver::run(&plan, start, simd, parallel, &mut terminal, checkpointer))?;
+        terminal.clear();
+        let Some(files) = files else {
+            output.discard();
+            return Ok(ExitCode::SUCCESS);
+        };
+        finish(&output, &plan, files, &mut terminal, &pool, started)
+    }
+
+    /// What a run needs of this process: memory, and threads.
+    fn check_in(&self, plan: &Plan, files: Option<&Files>) -> Result<ThreadPool, Failure> {
+        if plan.parallelism.ranks > 1 {
+            memory::check_rank(plan, files.is_some_and(|files| files.invocation.integrands > 0))?;
+        }
+        Ok(execution::pool(plan.parallelism.threads)?)
+    }
+
+    /// Who does the steps.
+    fn parallel(
+        &self,
+        plan: &Plan,
+        communicator: &Arc<dyn Communicator>,
+        files: Option<&Files>,
+    ) -> Parallel {
+        #[cfg(unix)]
+        if plan.parallelism.has_workers() {
+            let folder = files.and_then(|files| files.checkpointer.path().parent());
+            let folder = folder.filter(|path| !path.as_os_str().is_empty());
+            return Parallel::Workers(WorkersOptions {
+                arguments: vec![super::WORKER.into()],
+                pin: self.pin,
+                silence: self.silence,
+                replacements: self.replacements,
+                faults: self.faults,
+                folder: folder.unwrap_or(Path::new(".")).to_owned(),
+            });
+        }
+        if plan.parallelism.ranks > 1 {
+            Parallel::Ranks(Arc::clone(communicator))
+        } else {
+            Parallel::Threads
+        }
+    }
+}
+
+/// Checks that the run's folder is none of the files that it leaves.
+///
+/// # Errors
+/// The file that it would be.
+pub fn check_folder(outputs: &OutputFiles, folder: &Path) -> Result<(), Misuse> {
+    match outputs.find(folder) {
+        Some(file) => Err(Misuse(format!(
+            "{} would be both an output and the run's folder: give another --out or --run-dir",
+            file.display()
+        ))),
+        None => Ok(()),
+    }
+}
+
+/// Scores a tile, writes the files of a run and prints its summary.
+fn finish(
+    output: &Output,
+    plan: &Plan,
+    files: Files,
+    terminal: &mut Terminal,
+    pool: &ThreadPool,
+    started: Instant,
+) -> Result<ExitCode, Failure> {
+    let Files { invocation, outputs, existing, checkpointer, claims: _claims } = files;
+    let seconds = started.elapsed().as_secs_f64();
+    let summary = &output.summary;
+    let interrupted = summary.reason == StopReason::Interrupted;
+    // A stopped run is to end soon, so it is not scored.
+    let is_scored = invocation.integrands > 0 && !interrupted && terminal.received().is_none();
+    let tile = is_scored.then(|| output.tile());
+    let score = |tile: &Tile| {
+        let options = ScoreOptions { integrands: invocation.integrands, ..Default::default() };
+        let taps = &plan.kernel.classes()[0].taps;
+        pool.install(|| Scorer::new(plan.options.shape, taps, options)?.score(tile))
+    };
+    let scores = tile.as_ref().map(score).transpose()?;
+    let provenance =
+        |sha256| provenance(plan, &invocation, output, scores.as_ref(), seconds, sha256);
+    let whole = tile.as_ref().map_or(output as &dyn ArraySource, |tile| tile);
+    let written = outputs.write(plan.options.shape, whole, existing, provenance);
+    output.discard();
+    if let Err(error) = written {
+        let failure = Failure::from(error);
+        if !checkpointer.has_saved() {
+            return Err(failure);
+        }
+        let path = checkpointer.path().display();
+        return Err(failure.hinted(format_args!("; `perceptile resume {path}` goes on")));
+    }
+    let mut text = summary::describe(output, scores.as_ref(), &outputs, seconds);
+    let stopped = matches!(summary.reason, StopReason::Interrupted | StopReason::Time);
+    if stopped && checkpointer.has_saved() {
+        text += &format!("to go on    perceptile resume {}\n", checkpointer.path().display());
+    } else if let Err(error) = checkpointer.remove() {
+        terminal.report(&format!("the run's folder is left: {error}"));
+    }
+    // Another rank may have got the signal.
+    let signal = terminal.received().or(interrupted.then_some(130));
+    match (print(&text), signal) {
+        // A terminal that was closed takes no text.
+        (_, Some(code)) => Ok(ExitCode::from(code as u8)),
+        (printed, None) => Ok(printed.map(|()| ExitCode::SUCCESS)?),
+    }
+}
+
+/// Where a tile comes from.
+fn provenance(
+    plan: &Plan,
+    invocation: &Invocation,
+    output: &Output,
+    scores: Option<&Scores>,
+    seconds: f64,
+    sha256: String,
+) -> Sidecar {
+    let (options, summary) = (&plan.options, &output.summary);
+    let mut recorded = serde_json::json!({ "options": options, "summary": summary });
+    match &output.parallel {
+        ParallelSummary::Threads => (),
+        ParallelSummary::Workers(workers) => recorded["workers"] = serde_json::json!(workers),
+        ParallelSummary::Ranks(ranks) => recorded["ranks"] = serde_json::json!(ranks),
+    }
+    Sidecar {
+        format: sidecar::FORMAT,
+        program: env!("CARGO_PKG_NAME").into(),
+        version: env!("CARGO_PKG_VERSION").into(),
+        command: command(&invocation.settings, summary),
+        kernel: options.kernel.to_string(),
+        seed: options.seed,
+        shape: options.shape,
+        options: recorded,
+        created: sidecar::utc(SystemTime::now()),
+        seconds,
+        sha256,
+        scores: serde_json::json!(scores),
+        convergence: summary.convergence.clone(),
+    }
+}
+
+/// The command that makes the same tile again.
+fn command(settings: &Settings, summary: &Summary) -> String {
+    let mut settings = settings.clone();
+    if summary.reason != StopReason::Completed {
+        settings.stop_after = Some(summary.steps);
+    }
+    let words = ["perceptile".into(), "optimize".into()].into_iter();
+    super::line(words.chain(settings.command_line()))
+}

@@ -1,0 +1,87 @@
+//! Starting workers: the memory that they share, what lies in it, and what each is sent.
+
+use std::fs::File;
+use std::hash::{BuildHasher, RandomState};
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Duration;
+
+use perceptile_cluster::process::{Launch, Workers, this_program};
+use perceptile_cluster::shared::{Map, MapHeader, allocate};
+use perceptile_cluster::{Worker, affinity, codec};
+
+use super::WorkersOptions;
+use super::task::{Task, VERSION};
+use crate::gradient::simd::Simd;
+use crate::run::error::{RunError, WorkersError};
+use crate::run::plan::Plan;
+use crate::run::start::InitialState;
+use crate::solver::Storage;
+use crate::tile::Region;
+
+/// Where shared memory is fastest.
+const FASTEST: &str = "/dev/shm";
+/// How long a worker may take until it is ready: kernels may be large, machines slow.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// Starts the workers of a plan on memory that holds what it starts from.
+pub(super) fn launch(
+    plan: &Plan,
+    start: InitialState,
+    simd: Simd,
+    options: &WorkersOptions,
+    other: Option<Vec<u8>>,
+    report: &mut dyn FnMut(&str),
+) -> Result<(Workers, Arc<Worker>, Storage), RunError> {
+    let (processes, threads) = (plan.parallelism.processes(), plan.parallelism.threads);
+    let assign = || affinity::assign(processes, threads).map_err(WorkersError::from);
+    let affinity = options.pin.then(assign).transpose()?;
+    for (index, processors) in affinity.iter().flatten().enumerate() {
+        report(&format!("worker {index} runs on {processors}"));
+    }
+    let storage = plan.storage(Region::whole(plan.options.shape));
+    let header = MapHeader { len: storage.bytes() as u64, run: RandomState::new().hash_one(1) };
+    let (file, folder) = memory(header.len, &options.folder)?;
+    for (index, processors) in affinity.iter().flatten().enumerate() {
+        // Memory lies near whoever touches it first.
+        let ranges = storage.shares(index);
+        affinity::with_bound(processors, || allocate(&file, folder, header, &ranges))
+            .map_err(WorkersError::from)??;
+    }
+    let (worker, mut storage) = storage.open(Map::create(&file, folder, header)?, 0, None);
+    start.put(plan, &worker, &mut storage)?;
+    let task = Task {
+        plan: plan.clone(),
+        other,
+        header,
+        plain: simd == Simd::plain(),
+        faults: options.faults,
+        spins: worker.spins(),
+    };
+    let launch = Launch {
+        program: this_program().map_err(WorkersError::from)?,
+        arguments: options.arguments.iter().map(Into::into).collect(),
+        workers: processes,
+        version: VERSION.into(),
+        payload: codec::encode(&task).map_err(WorkersError::Task)?,
+        memory: file,
+        affinity,
+        patience: PATIENCE,
+        silence: options.silence,
+    };
+    Ok((Workers::start(launch).map_err(WorkersError::from)?, worker, storage))
+}
+
+/// A file without a name for shared memory, and its folder: where it is fastest, or else `folder`.
+fn memory(bytes: u64, folder: &Path) -> Result<(File, &Path), WorkersError> {
+    let room = |path: &str| {
+        let system = rustix::fs::statvfs(path).ok()?;
+        system.f_bavail.checked_mul(system.f_frsize)
+    };
+    let fits = room(FASTEST).is_some_and(|free| free > bytes.saturating_add(1 << 20));
+    let folder = if fits { Path::new(FASTEST) } else { folder };
+    match tempfile::tempfile_in(folder) {
+        Ok(file) => Ok((file, folder)),
+        Err(error) => Err(WorkersError::File { folder: folder.to_owned(), error }),
+    }
+}

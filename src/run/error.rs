@@ -1,0 +1,66 @@
+//! Why a run makes no tile.
+
+#[cfg(unix)]
+use std::{io, path::PathBuf};
+
+use perceptile_cluster::shared::MapError;
+#[cfg(unix)]
+use perceptile_cluster::{affinity::AffinityError, codec::CodecError, process::ProcessError};
+use thiserror::Error;
+
+use crate::run::folder::FolderError;
+use crate::solver::OptionsError;
+
+/// Why a run makes no tile.
+#[derive(Debug, Error)]
+pub enum RunError {
+    /// The options are wrong.
+    #[error(transparent)]
+    Options(#[from] OptionsError),
+    /// There is no memory for it.
+    #[error(transparent)]
+    Memory(#[from] MapError),
+    /// The checkpoint that it was to start from cannot be read.
+    #[error(transparent)]
+    Start(#[from] FolderError),
+    /// Another rank failed, which says how.
+    #[error("another rank failed")]
+    Elsewhere,
+    /// Worker processes cannot be used, or too many were lost.
+    #[cfg(unix)]
+    #[error(transparent)]
+    Workers(#[from] WorkersError),
+}
+
+/// Why worker processes make no tile.
+#[cfg(unix)]
+#[derive(Debug, Error)]
+pub enum WorkersError {
+    /// No file for shared memory can be made.
+    #[error("no file for shared memory can be made in {}: {error}", folder.display())]
+    File {
+        /// Where.
+        folder: PathBuf,
+        /// What the system says.
+        error: io::Error,
+    },
+    /// Workers cannot be started.
+    #[error(transparent)]
+    Process(#[from] ProcessError),
+    /// Workers cannot be bound to processors.
+    #[error(transparent)]
+    Affinity(#[from] AffinityError),
+    /// Workers cannot be sent their task.
+    #[error("the kernel is too large for worker processes: {0}")]
+    Task(CodecError),
+    /// Too many workers were lost.
+    #[error("{lost} workers were lost, the last because it {cause}: the run is given up{kept}")]
+    Lost {
+        /// How many.
+        lost: u32,
+        /// Why the last.
+        cause: String,
+        /// Where the run is kept, if it is.
+        kept: String,
+    },
+}
