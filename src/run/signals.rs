@@ -155,6 +155,12 @@ mod tests {
     /// And that its answer to the first signal never ends.
     const STUCK: &str = "PERCEPTILE_TEST_STUCK";
 
+    /// What starts it so that it hears SIGHUP, also if these tests do not, as under `nohup`.
+    #[cfg(target_os = "linux")]
+    const HEARS: [&str; 2] = ["env", "--default-signal=HUP"];
+    #[cfg(not(target_os = "linux"))]
+    const HEARS: [&str; 1] = ["env"];
+
     /// How long that process lives at most; all that it is to do takes far less.
     const LEASH: Duration = Duration::from_secs(100);
 
@@ -239,7 +245,7 @@ mod tests {
         for (first, code) in [(Signal::INT, 130), (Signal::TERM, 143), (Signal::HUP, 129)] {
             for (second, last) in [(Signal::INT, 130), (Signal::TERM, 143)] {
                 let stuck = second == Signal::INT;
-                let mut listener = Listener::start(&["env"], &path, stuck);
+                let mut listener = Listener::start(&HEARS, &path, stuck);
                 listener.send(first);
                 let mut heard = [listener.hear(""), listener.hear("")];
                 heard.sort();
@@ -255,7 +261,7 @@ mod tests {
     #[test]
     fn a_terminal_that_closes_is_one_signal_however_many_it_sends() {
         let room = tempfile::tempdir().unwrap();
-        let mut listener = Listener::start(&["env"], &room.path().join("unfinished"), false);
+        let mut listener = Listener::start(&HEARS, &room.path().join("unfinished"), false);
         listener.send(Signal::HUP);
         listener.hear("received 129");
         listener.send(Signal::HUP);

@@ -122,7 +122,12 @@ fn an_output_that_cannot_be_written_in_the_end_is_not_lost() {
 fn a_terminal_that_closes_leaves_the_tile() {
     for workers in ["", "--workers 2"] {
         let room = Room::new();
-        let mut run = start_endless(&room, workers);
+        // These tests may have been started so that nothing of them hears a terminal close.
+        let mut command = Command::new("env");
+        command.args(["--default-signal=HUP", PROGRAM]).stdin(Stdio::null());
+        command.args(format!("{ENDLESS} {LEASH} {workers}").split_whitespace());
+        let mut run = room.start_as(command);
+        run.until_checkpoint(&room, "tile.run", 5);
         run.send_to_group(Signal::HUP);
         assert_eq!(run.end().code(), Some(129));
         assert_eq!(room.names("."), ["tile.json", "tile.npy", "tile.png", "tile.run"]);
