@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # How long it takes to reach a quality: a tenth of STBN's error in linear functions, 0.38 in
 # edges, 0.45 in axis edges, 0.12 in bumps and 0.35 in disks, that is at most
-# 0.0065, 0.1190, 0.1169, 0.0269, 0.1064, with a residual of at most 0.16; at 64x64x16 and at
+# 0.0065, 0.0947, 0.0842, 0.0238, 0.1017, with a residual of at most 0.16; at 64x64x16 and at
 # 128x128x30. Takes about two minutes of two cores for each program.
 #
 #     examples/time_to_quality.sh [PROGRAM...]
