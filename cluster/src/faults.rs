@@ -1,13 +1,15 @@
 //! Faults made on purpose: a worker that kills or stops itself in the middle of its work.
 //!
 //! What holds when workers die can only be shown by workers that die, at every site where it
-//! matters. Each worker picks a site and a time; when it next passes there, it is gone. The crate
-//! has a few sites of its own; whoever uses it numbers others.
+//! matters. Each worker picks a site and a time; when it next passes there, it is gone. Time is what
+//! the processors have spent on the worker: on a crowded machine it lives longer by the clock, but
+//! does as much before it dies. The crate has a few sites of its own; whoever uses it numbers
+//! others.
 
 use std::fmt;
 use std::str::FromStr;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
@@ -46,7 +48,7 @@ impl FaultSite {
 /// stop and must be killed; of the others, which die at once, there are three in four by default).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct FaultPlan {
-    /// Mean life of a worker.
+    /// Mean life of a worker, in processor time.
     pub every: Duration,
     /// Share of faults that stop the worker instead of killing it, in [0, 1].
     pub stops: f64,
@@ -83,8 +85,8 @@ pub struct Faults {
     plan: FaultPlan,
     /// Number of sites, of which each is chosen equally often.
     sites: u64,
-    born: Instant,
-    /// When the next fault is due, in nanoseconds from birth, with its site in the low bits.
+    /// When the next fault is due, in nanoseconds of the process's processor time, with its site in
+    /// the low bits.
     next: AtomicU64,
     random: AtomicU64,
 }
@@ -110,7 +112,6 @@ impl Faults {
         let faults = Self {
             plan,
             sites: (FaultSite::OWN.len() + sites) as u64,
-            born: Instant::now(),
             next: AtomicU64::new(0),
             random: AtomicU64::new(seed),
         };
@@ -128,7 +129,7 @@ impl Faults {
     fn choose(&self) -> u64 {
         let site = self.random() % self.sites;
         let mean = self.plan.every.as_nanos() as u64;
-        let due = self.born.elapsed().as_nanos() as u64 + self.random() % (2 * mean);
+        let due = processor_time().as_nanos() as u64 + self.random() % (2 * mean);
         due & !SITE | site
     }
 
@@ -144,7 +145,7 @@ impl Faults {
     /// Fails here, if that is due.
     pub(crate) fn at(&self, site: FaultSite, board: &Board) {
         let next = self.next.load(Ordering::Relaxed);
-        let now = self.born.elapsed().as_nanos() as u64;
+        let now = processor_time().as_nanos() as u64;
         if now < next {
             return;
         }
@@ -163,6 +164,22 @@ impl Faults {
         let stops = (self.random() >> 11) as f64 / (1_u64 << 53) as f64 + f64::EPSILON;
         fail(stops < self.plan.stops);
     }
+}
+
+/// What the processors have spent on this process.
+#[cfg(unix)]
+fn processor_time() -> Duration {
+    use rustix::time::{ClockId, clock_gettime};
+    // It is never negative.
+    clock_gettime(ClockId::ProcessCPUTime).try_into().unwrap_or_default()
+}
+
+/// Stands for the processor time where that is not to be had: the time since it was first asked for.
+#[cfg(not(unix))]
+fn processor_time() -> Duration {
+    static START: std::sync::LazyLock<std::time::Instant> =
+        std::sync::LazyLock::new(std::time::Instant::now);
+    START.elapsed()
 }
 
 /// Kills this process or stops it.
@@ -193,6 +210,7 @@ mod tests {
             assert!(wrong.parse::<FaultPlan>().is_err(), "{wrong}");
         }
     }
+
     #[test]
     fn each_site_is_chosen_equally_often() {
         let plan: FaultPlan = "1ms".parse().unwrap();

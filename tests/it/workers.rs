@@ -184,7 +184,7 @@ fn workers_that_fail_everywhere_leave_no_trace() {
         (1, "--workers 8 --threads 1 --faults 1ms,0.05 --checkpoint 10steps"),
         (0, "--workers 1 --threads 1 --faults 10ms,0.1 --checkpoint 1steps"),
     ];
-    // Chance comes to each place in 9 of 10 rounds of all settings, busy or not. If it were in one
+    // Chance comes to each place in 7 of 8 rounds of all settings, busy or not. If it were in one
     // of 2, a place would be met less than 3 times in 44 with a probability of
     // (1 + 44 + 44 * 43 / 2) / 2^44 < 6e-11, and one of the 8 with less than 5e-10.
     let mut losses = Losses::default();
