@@ -4,7 +4,8 @@
 //! and `parse` reads that from text; `resolve` composes and truncates it (`factor` and `table`
 //! give the weights of each factor, `grid` convolves them); `taps` is what the optimizer and the
 //! scores use: offsets with weights, sorted by falling magnitude, so that the taps above any
-//! threshold are a prefix (Eq. 7). `response` and `picture` show a kernel to people.
+//! threshold are a prefix (Eq. 7). `viewing` writes the description for a frame rate and a display;
+//! `response` and `picture` show a kernel to people.
 
 mod factor;
 mod grid;
@@ -15,6 +16,7 @@ mod response;
 mod spec;
 mod table;
 mod taps;
+mod viewing;
 
 pub use factor::perception_taps;
 pub use parse::ParseError;
@@ -27,3 +29,4 @@ pub use spec::{
 };
 pub use table::TableError;
 pub use taps::{KernelTaps, SignClass, Tap, TapsError};
+pub use viewing::{PAPER_PIXELS_PER_DEGREE, PAPER_SIGMA, Viewing};

@@ -91,14 +91,12 @@ pub struct KernelError {
 /// What is wrong with a class; continues the words "the kernel".
 #[derive(Debug, Error, Clone, PartialEq)]
 pub enum ResolveProblem {
-    /// It does not fit into the tile in one axis.
+    /// It does not fit into the pixels of the tile.
     #[error(
-        "is {kernel} {unit} {wide}, but the tile has only {tile}: truncate it, as in `@ 7x7x8`, or take a larger tile"
+        "is {kernel} pixels {wide}, but the tile has only {tile}: truncate it to a box, `@ WIDTHxHEIGHTxFRAMES`, of at most {tile} pixels, or take a larger tile"
     )]
     Wider {
-        /// "pixels" or "frames".
-        unit: &'static str,
-        /// "wide", "high" or "long".
+        /// "wide" or "high".
         wide: &'static str,
         /// Size of the kernel.
         kernel: u64,
@@ -141,7 +139,8 @@ pub enum ResolveProblem {
 }
 
 impl KernelSpec {
-    /// The kernel for a tile of that shape.
+    /// The kernel for a tile of that shape. It may be longer than the tile in time: a tile repeats,
+    /// and [`Kernel::folded`] says what it sees.
     ///
     /// # Errors
     /// A class that is wider than the tile, too large to compute, without taps, or made of a
@@ -164,7 +163,7 @@ impl KernelSpec {
         let mut classes = Vec::with_capacity(self.classes().len());
         for class in self.classes() {
             let resolved = resolve_class(&class.kind, shape, left).and_then(|(taps, dropped)| {
-                shape.map_or(Ok(()), |shape| check_width(&taps, shape))?;
+                shape.map_or(Ok(()), |shape| check_size(&taps, shape))?;
                 Ok((taps, dropped))
             });
             let text = class.kind.to_string();
@@ -183,27 +182,42 @@ impl Kernel {
         &self.classes
     }
 
-    /// Whether every class fits into a tile of that shape.
+    /// What a tile sees that repeats after so many frames: every class folded at its period
+    /// ([`KernelTaps::folded`]).
     ///
     /// # Errors
-    /// The first class that is wider than the tile, and the axis.
+    /// A class whose weights cancel each other.
+    pub fn folded(&self, frames: usize) -> Result<Self, KernelError> {
+        let fold = |class: &KernelClass| {
+            let taps = class.taps.folded(frames).map_err(|error| class.error(error.into()))?;
+            Ok(KernelClass { taps, ..class.clone() })
+        };
+        Ok(Self { classes: self.classes.iter().map(fold).collect::<Result<_, _>>()? })
+    }
+
+    /// Whether every class fits into the pixels of a tile of that shape.
+    ///
+    /// # Errors
+    /// The first class that is wider or higher than the tile.
     pub fn check(&self, shape: TileShape) -> Result<(), KernelError> {
-        self.classes.iter().try_for_each(|class| {
-            check_width(&class.taps, shape)
-                .map_err(|problem| KernelError { class: class.text.clone(), problem })
-        })
+        let fits = |class: &KernelClass| {
+            check_size(&class.taps, shape).map_err(|problem| class.error(problem))
+        };
+        self.classes.iter().try_for_each(fits)
     }
 }
 
-fn check_width(taps: &KernelTaps, shape: TileShape) -> Result<(), ResolveProblem> {
-    let [width, height, frames] = taps.size();
-    for (kernel, tile, unit, wide) in [
-        (width, shape.width(), "pixels", "wide"),
-        (height, shape.height(), "pixels", "high"),
-        (frames, shape.frames(), "frames", "long"),
-    ] {
+impl KernelClass {
+    fn error(&self, problem: ResolveProblem) -> KernelError {
+        KernelError { class: self.text.clone(), problem }
+    }
+}
+
+fn check_size(taps: &KernelTaps, shape: TileShape) -> Result<(), ResolveProblem> {
+    let [width, height, _] = taps.size();
+    for (kernel, tile, wide) in [(width, shape.width(), "wide"), (height, shape.height(), "high")] {
         if kernel > tile as u64 {
-            return Err(ResolveProblem::Wider { unit, wide, kernel, tile });
+            return Err(ResolveProblem::Wider { wide, kernel, tile });
         }
     }
     Ok(())
@@ -533,11 +547,12 @@ mod tests {
     #[test]
     fn a_kernel_wider_than_the_tile_is_refused() {
         let text = "gaussian(2.1) * fovvideovdp(60) @ 7x5x8";
-        assert!(spec(text).resolve(tile(7, 5, 8)).is_ok());
+        for frames in [8, 1] {
+            assert!(spec(text).resolve(tile(7, 5, frames)).is_ok());
+        }
         for (shape, words) in [
             (tile(6, 5, 8), "is 7 pixels wide, but the tile has only 6"),
             (tile(7, 4, 8), "is 5 pixels high, but the tile has only 4"),
-            (tile(7, 5, 7), "is 8 frames long, but the tile has only 7"),
         ] {
             let error = spec(text).resolve(shape).unwrap_err();
             assert!(error.to_string().contains(words), "{error}");

@@ -1,5 +1,7 @@
 //! A kernel as the optimizer and the scores use it: offsets with weights.
 
+use std::collections::BTreeMap;
+
 use glam::IVec3;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
@@ -92,6 +94,34 @@ impl KernelTaps {
             b.weight.abs().total_cmp(&a.weight.abs()).then(place(a).cmp(&place(b)))
         });
         Ok(Self { taps })
+    }
+
+    /// The kernel as a tile sees it that repeats after so many frames: taps a whole number of
+    /// periods apart weight one sample, so their weights add up. What is filtered is the same, up to
+    /// the scale to Σ|g| = 1, which is smaller before where weights of both signs meet.
+    ///
+    /// A kernel that is no longer than the period stays as it is. Of others each tap keeps its frame
+    /// where the newest period has it (0 and before, if the kernel reaches into the past only), or
+    /// the period around frame 0.
+    ///
+    /// # Errors
+    /// Weights that cancel each other.
+    ///
+    /// # Panics
+    /// If there are no frames, or more than `i32` holds.
+    pub fn folded(&self, frames: usize) -> Result<Self, TapsError> {
+        if self.size()[2] <= frames as u64 {
+            return Ok(self.clone());
+        }
+        let period = i32::try_from(frames).expect("frames of a tile");
+        let last = if self.bounds().1.z > 0 { (period - 1) / 2 } else { 0 };
+        let mut weights = BTreeMap::new();
+        for tap in &self.taps {
+            let dt = last - (last - tap.offset.z).rem_euclid(period);
+            *weights.entry((dt, tap.offset.y, tap.offset.x)).or_insert(0.0) += tap.weight;
+        }
+        let tap = |((z, y, x), weight)| Tap { offset: IVec3::new(x, y, z), weight };
+        Self::new(weights.into_iter().map(tap))
     }
 
     /// All taps by falling magnitude of weight.
@@ -194,6 +224,26 @@ mod tests {
     }
 
     #[test]
+    fn a_long_kernel_is_folded_at_the_period() {
+        let offsets = |kernel: &KernelTaps| {
+            kernel.taps().iter().map(|tap| (tap.offset.z, tap.weight)).collect::<Vec<_>>()
+        };
+        // Frame −5 is frame −1 of four, and frame −4 is frame 0.
+        let past = taps(&[(0, 0, 0, 0.25), (0, 0, -1, 0.125), (0, 0, -4, 0.125), (0, 0, -5, 0.5)]);
+        assert_eq!(offsets(&past.folded(4).unwrap()), [(-1, 0.625), (0, 0.375)]);
+        assert_eq!(past.folded(6).unwrap(), past);
+        // Two frames of the future are the past of the period around frame 0.
+        let both = taps(&[(0, 0, -1, 0.25), (0, 0, 0, 0.5), (0, 0, 3, 0.25)]);
+        assert_eq!(offsets(&both.folded(4).unwrap()), [(-1, 0.5), (0, 0.5)]);
+        assert_eq!(offsets(&both.folded(1).unwrap()), [(0, 1.0)]);
+        // Frames at the ends of what is allowed.
+        let far = taps(&[(0, 0, i32::MIN, 1.0), (0, 0, i32::MAX, 1.0)]);
+        assert_eq!(offsets(&far.folded(2).unwrap()), [(-1, 0.5), (0, 0.5)]);
+        let zero = taps(&[(0, 0, 0, 0.5), (0, 0, -2, -0.5)]);
+        assert_eq!(zero.folded(2), Err(TapsError::Empty));
+    }
+
+    #[test]
     fn equal_taps_are_all_effective() {
         let flat: Vec<_> = (0..50).map(|x| (x, 0, 0, 7.0)).collect();
         assert!((taps(&flat).effective_taps() - 50.0).abs() < 1e-12);
@@ -222,6 +272,35 @@ mod tests {
             prop_assert_eq!(again.taps().len(), kernel.taps().len());
             for (a, b) in again.taps().iter().zip(kernel.taps()) {
                 prop_assert!(a.offset == b.offset && (a.weight - b.weight / mass).abs() < 1e-15);
+            }
+        }
+
+        /// On an image that repeats, the folded kernel filters as the whole one does.
+        #[test]
+        fn a_folded_kernel_filters_as_the_whole_one(
+            weights in prop::collection::vec((-1.0..1.0, -40..10_i32), 1..30),
+            image in prop::collection::vec(-1.0..1.0, 1..12),
+        ) {
+            let weights: BTreeMap<i32, f64> = weights.into_iter().map(|(w, t)| (t, w)).collect();
+            let kernel = taps(&weights.iter().map(|(&t, &w)| (0, 0, t, w)).collect::<Vec<_>>());
+            let period = image.len();
+            let folded = kernel.folded(period).unwrap();
+            prop_assert!(folded.size()[2] <= period as u64);
+            let filtered = |kernel: &KernelTaps, t: i32| -> f64 {
+                let at = |tap: &Tap| image[(t + tap.offset.z).rem_euclid(period as i32) as usize];
+                kernel.taps().iter().map(|tap| tap.weight * at(tap)).sum()
+            };
+            // Where weights cancel, what is left is scaled up.
+            let sums = |kernel: &KernelTaps| -> f64 {
+                let mut sums = vec![0.0; period];
+                for tap in kernel.taps() {
+                    sums[tap.offset.z.rem_euclid(period as i32) as usize] += tap.weight;
+                }
+                sums.iter().map(|sum: &f64| sum.abs()).sum()
+            };
+            for t in 0..period as i32 {
+                let whole = filtered(&kernel, t) / sums(&kernel);
+                prop_assert!((filtered(&folded, t) - whole).abs() < 1e-9);
             }
         }
 

@@ -15,7 +15,7 @@ pub enum ScoreError {
         "the kernel spans {extent} in {axis}, but the tile only {size}: it must not be wider than the tile"
     )]
     Kernel {
-        /// `x`, `y` or `t`.
+        /// `x` or `y`.
         axis: &'static str,
         /// From the kernel's first tap to its last, both included.
         extent: i64,

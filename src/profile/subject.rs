@@ -58,8 +58,9 @@ impl Subject {
     /// Options outside their ranges, or a kernel that does not fit.
     pub fn new(options: &Options, kernel: &Kernel, threads: usize) -> Result<Self, OptionsError> {
         options.validate()?;
-        options.check_kernel(kernel)?;
-        let levels = levels(kernel);
+        let kernel = kernel.folded(options.shape.frames())?;
+        options.check_kernel(&kernel)?;
+        let levels = levels(&kernel);
         let partition = Partition::new(options.shape, levels.reach());
         let runs = RunTables::new(&levels, options.shape.frames());
         let draws = Draws::new(options.draw, options.seed, levels, options.shape.dims());

@@ -1,5 +1,5 @@
 //! The ways in which the viewer shows error: raw, as perceived, behind temporal anti-aliasing
-//! (TAA), and both.
+//! (TAA), and both. Tiles repeat in time, so kernels may be longer than they are.
 
 use serde::Serialize;
 
@@ -9,10 +9,6 @@ use crate::kernel::{
     ClassKind, ClassSpec, Factor, KernelClass, KernelError, KernelSpec, Truncation,
 };
 use crate::tile::TileShape;
-
-/// Part of its weight that a kernel with TAA must keep in the frames of the shortest tile, to be
-/// shown.
-const LEAST_KEPT: f64 = 0.9;
 
 /// One view, for the viewer.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -45,11 +41,7 @@ impl Views {
         parts: &[Crop],
     ) -> Result<Self, KernelError> {
         let least = |side: fn(&Crop) -> usize| parts.iter().map(side).min().unwrap_or(1);
-        let room = Room {
-            width: least(|part| part.width),
-            height: least(|part| part.height),
-            frames: least(|part| part.frames),
-        };
+        let room = Room { width: least(|part| part.width), height: least(|part| part.height) };
         let resolved = kernel.resolve(shape)?;
         let perceived = &resolved.classes()[0];
         let mut views = Self {
@@ -60,10 +52,7 @@ impl Views {
         let average = Average::new(alpha);
         views.add(
             "With TAA",
-            average.clone().and_then(|average| {
-                let truncated = average.alone(average.frames.min(room.frames))?;
-                room.averaged(&truncated, 1.0)
-            }),
+            average.clone().and_then(|average| room.first(&average.alone(average.frames)?)),
         );
         views.add(
             "TAA, as perceived",
@@ -73,10 +62,9 @@ impl Views {
                     2 * low.unsigned_abs().max(high.unsigned_abs()) as usize + 1
                 };
                 let frames = perceived.taps.size()[2] as usize + average.frames - 1;
-                let size = [side(low.x, high.x), side(low.y, high.y), frames.min(room.frames)];
+                let size = [side(low.x, high.x), side(low.y, high.y), frames];
                 let behind = kernel.followed_by(average.factor, truncation(size));
-                let behind = behind.map_err(|problem| problem.to_string())?;
-                room.averaged(&behind, 1.0 - perceived.dropped.time.unwrap_or(0.0))
+                room.first(&behind.map_err(|problem| problem.to_string())?)
             }),
         );
         Ok(views)
@@ -130,16 +118,15 @@ fn truncation(size: [usize; 3]) -> Truncation {
 struct Room {
     width: usize,
     height: usize,
-    frames: usize,
 }
 
 impl Room {
     fn planes(&self, class: &KernelClass) -> Result<(KernelPlanes, String), String> {
-        let [width, height, frames] = class.taps.size().map(|n| n as usize);
-        if width > self.width || height > self.height || frames > self.frames {
+        let [width, height, _] = class.taps.size().map(|n| n as usize);
+        if width > self.width || height > self.height {
             return Err(format!(
-                "its kernel of {width}x{height}x{frames} is wider than the part of a tile that the viewer has, {}x{}x{}",
-                self.width, self.height, self.frames
+                "its kernel of {width}x{height} pixels is wider than the part of a tile that the viewer has, {}x{}",
+                self.width, self.height
             ));
         }
         let planes =
@@ -147,20 +134,10 @@ impl Room {
         Ok((planes, class.text.clone()))
     }
 
-    /// A kernel cut to the frames of all parts. At least `LEAST_KEPT` of the part `kept` of its
-    /// weight must be in them.
-    fn averaged(&self, kernel: &KernelSpec, kept: f64) -> Result<(KernelPlanes, String), String> {
+    /// The first class of a kernel.
+    fn first(&self, kernel: &KernelSpec) -> Result<(KernelPlanes, String), String> {
         let resolved = kernel.resolve_without_tile().map_err(|error| error.to_string())?;
-        let class = &resolved.classes()[0];
-        let inside = 1.0 - class.dropped.time.unwrap_or(0.0);
-        if inside < LEAST_KEPT * kept {
-            return Err(format!(
-                "its kernel has only {:.0} % of its weight in {} frames, as many as the shortest tile has",
-                100.0 * inside,
-                self.frames
-            ));
-        }
-        self.planes(class)
+        self.planes(&resolved.classes()[0])
     }
 }
 
@@ -189,7 +166,7 @@ mod tests {
         let text = |i: usize| all.shown[i].text.as_deref();
         assert_eq!(text(1), Some(KERNEL));
         assert_eq!(text(2), Some("ema(0.2) @ 1x1x16"));
-        assert_eq!(text(3), Some("gaussian(2.1) * fovvideovdp(60) * ema(0.2) @ 7x7x16"));
+        assert_eq!(text(3), Some("gaussian(2.1) * fovvideovdp(60) * ema(0.2) @ 7x7x23"));
         // The average alone: weights fall by 1 − α from frame to frame.
         let average = all.shown[2].kernel.as_ref().unwrap();
         assert_eq!(average.planes.len(), 1);
@@ -206,12 +183,15 @@ mod tests {
     }
 
     #[test]
+    fn kernels_may_be_longer_than_the_tiles() {
+        let all = views(KERNEL, 0.1, &[[64, 64, 16], [64, 64, 4]]);
+        assert_eq!(names(&all).len(), 4);
+        let average = all.shown[2].kernel.as_ref().unwrap();
+        assert_eq!(average.slices.len(), 34);
+    }
+
+    #[test]
     fn views_that_do_not_fit_are_left_out_with_a_reason() {
-        let short = views(KERNEL, 0.2, &[[64, 64, 16], [64, 64, 8]]);
-        assert_eq!(names(&short), ["Raw", "As perceived"]);
-        assert!(short.left_out[0].1.contains("83 % of its weight in 8 frames"), "{short:?}");
-        let shorter = views(KERNEL, 0.2, &[[64, 64, 16], [64, 64, 4]]);
-        assert_eq!(names(&shorter), ["Raw"]);
         // A column takes no factor.
         let column = views("column", 0.2, &[[64, 64, 16]]);
         assert_eq!(names(&column), ["Raw", "As perceived", "With TAA"]);

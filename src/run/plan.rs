@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use crate::draw::{Draws, LevelSets};
 use crate::gradient::simd::Simd;
 use crate::gradient::{Gradient, Quantum};
-use crate::kernel::Kernel;
+use crate::kernel::{Kernel, KernelTaps};
 use crate::solver::{
     Options, OptionsError, Parallelism, Phase, StopReason, StoragePlan, polish, rounds,
 };
@@ -60,8 +60,8 @@ impl Plan {
     pub fn checked(self) -> Result<Self, OptionsError> {
         let Self { options, kernel, .. } = &self;
         options.validate()?;
-        options.check_kernel(kernel)?;
         kernel.check(options.shape)?;
+        options.check_kernel(&kernel.folded(options.shape.frames())?)?;
         self.partition().regions(self.parallelism.ranks, 0)?;
         Ok(self)
     }
@@ -77,7 +77,7 @@ impl Plan {
 
     /// The cells that draws are made for.
     pub fn partition(&self) -> Partition {
-        Partition::new(self.options.shape, levels(&self.kernel).reach())
+        Partition::new(self.options.shape, levels(&self.seen()).reach())
     }
 
     /// The regions of the ranks, as one of them sees them.
@@ -91,16 +91,15 @@ impl Plan {
 
     /// How far samples see each other in the polish.
     pub fn sight(&self) -> Reach {
-        let classes = self.kernel.classes();
-        let classes: Vec<_> = classes.iter().map(|class| (class.weight, &class.taps)).collect();
-        polish::sight(&classes, self.options.shape.frames())
+        let kernel = self.seen();
+        polish::sight(&classes(&kernel), self.options.shape.frames())
     }
 
     /// The memory that the workers of a rank share, for its region.
     pub fn storage(&self, region: Region) -> StoragePlan {
         let plan = StoragePlan::new(&self.partition(), region, self.parallelism);
         let polished = self.options.polish.steps > 0;
-        if polished { plan.with_polish(levels(&self.kernel).reach().doubled()) } else { plan }
+        if polished { plan.with_polish(levels(&self.seen()).reach().doubled()) } else { plan }
     }
 
     /// The last round of all.
@@ -161,9 +160,17 @@ impl Plan {
         (done, why)
     }
 
+    /// The kernel as the tile sees it, which repeats in time.
+    ///
+    /// # Panics
+    /// If its weights cancel each other, which [`Self::checked`] finds.
+    pub(super) fn seen(&self) -> Kernel {
+        self.kernel.folded(self.options.shape.frames()).expect("a plan that was checked")
+    }
+
     fn draws(&self) -> Draws {
         let Options { draw, seed, shape, .. } = self.options;
-        Draws::new(draw, seed, levels(&self.kernel), shape.dims())
+        Draws::new(draw, seed, levels(&self.seen()), shape.dims())
     }
 
     fn quantum(&self, draws: &Draws) -> Result<Quantum, OptionsError> {
@@ -183,7 +190,12 @@ impl Plan {
     }
 }
 
-/// The level sets of all classes of a kernel.
+/// The classes of a kernel with their shares.
+pub(super) fn classes(kernel: &Kernel) -> Vec<(f64, &KernelTaps)> {
+    kernel.classes().iter().map(|class| (class.weight, &class.taps)).collect()
+}
+
+/// The level sets of all classes of a kernel that a tile sees.
 pub(crate) fn levels(kernel: &Kernel) -> LevelSets {
-    LevelSets::new(kernel.classes().iter().map(|class| (class.weight, &class.taps)))
+    LevelSets::new(classes(kernel))
 }

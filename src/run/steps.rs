@@ -12,7 +12,7 @@ use perceptile_cluster::{Ends, Worker};
 use crate::format::numbers::ArraySource;
 use crate::gradient::probe::Unprobed;
 use crate::gradient::simd::Simd;
-use crate::run::plan::{Plan, Position};
+use crate::run::plan::{Plan, Position, classes};
 use crate::solver::polish::Polish;
 use crate::solver::{Descent, OptionsError, Phase, Storage, rounds, warp};
 use crate::tile::Regions;
@@ -136,8 +136,8 @@ impl<'a> Steps<'a> {
             }
             Phase::Start | Phase::Descent => return self.start(Phase::Polish, storage),
             Phase::Polish if is_due && plan.goes_on(worker, self.at) => {
-                let classes: Vec<_> =
-                    plan.kernel.classes().iter().map(|class| (class.weight, &class.taps)).collect();
+                let kernel = plan.seen();
+                let classes = classes(&kernel);
                 let options = plan.options.polish;
                 let polish =
                     Polish::enter(worker.clone(), storage, regions, &classes, options, how);

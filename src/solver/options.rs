@@ -201,7 +201,7 @@ const PERCEPTION_TAA_30: &str =
     "0.84: gaussian(2.1) * fovvideovdp(60) * ema(0.2) @ 7x7x15 + 0.06: column + 0.1: box(15)";
 
 impl Options {
-    /// Checks that a run can do with a kernel what these options ask for.
+    /// Checks that a run can do with a kernel, as the tile sees it, what these options ask for.
     ///
     /// # Errors
     /// A kernel too large for the polish.

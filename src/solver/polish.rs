@@ -563,6 +563,8 @@ fn distances_to_side(x: f64, y: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeMap;
+
     use super::*;
     use crate::kernel::KernelSpec;
     use crate::metric::Baseline;
@@ -584,21 +586,20 @@ mod tests {
                 IVec3::new(shape.width() as i32, shape.height() as i32, shape.frames() as i32);
             let mut weights = vec![vec![0.0; shape.pixels()]; shape.pixels()];
             for (share, kernel) in classes {
-                let square: f64 = kernel.taps().iter().map(|tap| tap.weight * tap.weight).sum();
                 for filtered in 0..shape.pixels() as i32 {
                     let place = IVec3::new(
                         filtered % size.x,
                         filtered / size.x % size.y,
                         filtered / size.x / size.y,
                     );
-                    let row: Vec<(usize, f64)> = kernel
-                        .taps()
-                        .iter()
-                        .map(|tap| {
-                            let from = (place + tap.offset).rem_euclid(size).as_usizevec3();
-                            (shape.pixel(from.x, from.y, from.z), tap.weight)
-                        })
-                        .collect();
+                    // A kernel that is longer than the tile meets a pixel several times.
+                    let mut row = BTreeMap::new();
+                    for tap in kernel.taps() {
+                        let from = (place + tap.offset).rem_euclid(size).as_usizevec3();
+                        *row.entry(shape.pixel(from.x, from.y, from.z)).or_insert(0.0) +=
+                            tap.weight;
+                    }
+                    let square: f64 = row.values().map(|weight: &f64| weight * weight).sum();
                     for (i, a) in &row {
                         for (j, b) in &row {
                             weights[*i][*j] += share * a * b / square;
@@ -673,12 +674,15 @@ mod tests {
             ([5, 4, 8, 2, 1], SIGNED),
             ([4, 5, 3, 2, 3], "gaussian(1) * ema(0.5) @ 4x3x3"),
             ([33, 4, 1, 1, 2], "gaussian(1) @ 3x3x1"),
+            ([7, 5, 3, 1, 2], SIGNED),
         ] {
             let shape = TileShape::new(width, height, frames, spp, dims).unwrap();
             let tile = Baseline::White.tile(shape, 6);
-            let kernel = kernel.parse::<KernelSpec>().unwrap().resolve(shape).unwrap();
-            let classes: Vec<_> =
-                kernel.classes().iter().map(|class| (class.weight, &class.taps)).collect();
+            let whole = kernel.parse::<KernelSpec>().unwrap().resolve(shape).unwrap();
+            let folded = whole.folded(frames).unwrap();
+            let [whole, classes] = [&whole, &folded].map(|kernel| {
+                kernel.classes().iter().map(|class| (class.weight, &class.taps)).collect::<Vec<_>>()
+            });
             let mut fast = polish(&tile, &classes, Simd::detect());
             fast.gradients(0);
             // The gradients in C order.
@@ -689,7 +693,7 @@ mod tests {
                 (0..own).for_each(|k| gradients[to + k] = f64::from(words[k]));
             }
 
-            let slow = Slow::new(shape, &classes, 0.3, 0.7);
+            let slow = Slow::new(shape, &whole, 0.3, 0.7);
             let points: Vec<f64> = tile.samples().iter().map(|&x| f64::from(x)).collect();
             let mut largest = 0.0_f64;
             for word in (0..points.len()).step_by(7) {

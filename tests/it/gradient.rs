@@ -357,6 +357,40 @@ proptest! {
         compare(&Case { tile, levels, draw: SHARES, seed, step: 3 })?;
     }
 
+    /// A kernel that is longer than the tile: the gradient behind the folded kernel is that of the
+    /// tile repeated in time, where each tap of a draw lies in any period, summed over its copies.
+    #[test]
+    fn a_folded_gradient_equals_the_plain_one_on_the_tile_repeated(
+        [width, height, frames] in [1..7_usize, 1..7_usize, 1..7_usize],
+        taps in taps([1, 1, 30]), spp in 1_usize..3, dims in 1_usize..4,
+        periods in prop::collection::vec(-4..5_i32, 30), seed: u64,
+    ) {
+        let shape = TileShape::new(width, height, frames, spp, dims).unwrap();
+        let folded = taps.folded(frames).unwrap();
+        prop_assert!(folded.size()[2] <= frames as u64);
+        let moved = folded.taps().iter().zip(&periods).map(|(tap, period)| {
+            let offset = tap.offset + IVec3::Z * (period * frames as i32);
+            Tap { offset, ..*tap }
+        });
+        let moved = LevelSets::new([(1.0, &KernelTaps::new(moved).unwrap())]);
+        let tile = Baseline::White.tile(shape, seed);
+        let levels = LevelSets::new([(1.0, &folded)]);
+        let case = Case { tile, levels, draw: SHARES, seed, step: 3 };
+        compare(&case)?;
+
+        const COPIES: usize = 9;
+        let repeated = TileShape::new(width, height, COPIES * frames, spp, dims).unwrap();
+        let repeated = Tile::new(repeated, case.tile.samples().repeat(COPIES)).unwrap();
+        let mut draws = case.reference_draws();
+        let expected = reference::gradient(&case.tile, &case.levels, &draws);
+        draws.iter_mut().for_each(|draw| draw.pixel.z += (COPIES / 2 * frames) as i32);
+        let copies = reference::gradient(&repeated, &moved, &draws);
+        for (i, expected) in expected.iter().enumerate() {
+            let sum: f64 = copies.iter().skip(i).step_by(shape.coordinates()).sum();
+            prop_assert!((sum - expected).abs() < 1e-9, "coordinate {i}: {sum}, not {expected}");
+        }
+    }
+
     /// As many equal gradients on one sample as there can be, each as large as it can be.
     #[test]
     fn sums_stay_exact_at_the_limits(

@@ -15,7 +15,7 @@ use thiserror::Error;
 use super::{Costs, Load, Model, Network, RankMemory};
 use crate::gradient::probe::Stage;
 use crate::gradient::simd::Simd;
-use crate::kernel::{Kernel, KernelError};
+use crate::kernel::{Kernel, KernelClass, KernelError};
 use crate::profile::measure;
 use crate::profile::subject::{Subject, WORD};
 use crate::profile::traffic;
@@ -153,7 +153,8 @@ fn small(options: &Options) -> Result<(Options, Kernel), CostsError> {
         let Ok(smaller) = TileShape::new(x, y, t, shape.spp(), shape.dims()) else { break };
         // A kernel may need more of a tile than is left.
         let Ok(fitting) = options.kernel.resolve(smaller) else { break };
-        if smaller == shape {
+        let long = |class: &KernelClass| class.taps.size()[2] > t as u64;
+        if smaller == shape || t < shape.frames() && fitting.classes().iter().any(long) {
             break;
         }
         (shape, kernel) = (smaller, fitting);

@@ -163,7 +163,8 @@ impl TileScaling {
         let model = Model { costs: measured.costs, network, memory, threads };
         let shape = options.shape;
         let row = |(ranks, shape): (usize, TileShape)| -> Result<_, CostsError> {
-            let partition = Partition::new(shape, levels(&options.kernel.resolve(shape)?).reach());
+            let kernel = options.kernel.resolve(shape)?.folded(shape.frames())?;
+            let partition = Partition::new(shape, levels(&kernel).reach());
             let load = measured.load(in_proportion(options, shape));
             let extrapolated = ranks.saturating_mul(threads) > cores;
             // More ranks than cells are where a table ends, and no error.
