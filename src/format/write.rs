@@ -110,17 +110,6 @@ impl WriteError {
     pub(super) fn io(path: &Path) -> impl FnOnce(io::Error) -> Self {
         move |error| Self::Io { path: path.to_owned(), error }
     }
-
-    /// Whether there is no room: the disk or a quota is full, or files may not become so large.
-    pub fn is_full(&self) -> bool {
-        matches!(self, Self::Io { error, .. } if is_full(error))
-    }
-}
-
-/// Whether the system has no room for what is written.
-pub(crate) fn is_full(error: &io::Error) -> bool {
-    use io::ErrorKind::{FileTooLarge, QuotaExceeded, StorageFull};
-    matches!(error.kind(), StorageFull | QuotaExceeded | FileTooLarge)
 }
 
 /// What to do with an output that exists.
@@ -397,22 +386,6 @@ mod tests {
         assert!(result.unwrap_err().to_string().contains("disk full"));
         assert_eq!(fs::read_to_string(&path).unwrap(), "old");
         assert_eq!(names(folder.path()), ["a"]);
-    }
-
-    #[test]
-    fn a_full_disk_is_told_from_other_failures() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("a");
-        for (kind, full) in [
-            (io::ErrorKind::StorageFull, true),
-            (io::ErrorKind::QuotaExceeded, true),
-            (io::ErrorKind::FileTooLarge, true),
-            (io::ErrorKind::PermissionDenied, false),
-        ] {
-            let error = write(&path, Existing::Keep, |_| Err(kind.into())).unwrap_err();
-            assert_eq!(error.is_full(), full, "{error}");
-        }
-        assert!(!WriteError::Exists { path }.is_full());
     }
 
     #[test]

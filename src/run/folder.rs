@@ -24,7 +24,7 @@ use thiserror::Error;
 
 use crate::format::checkpoint::{self, CheckpointError, Seal};
 use crate::format::numbers::{ArraySink, ArraySource};
-use crate::format::write::{self, Existing};
+use crate::format::write::Existing;
 use system::Directory;
 
 /// The file whose lock a run holds; it is empty.
@@ -166,11 +166,6 @@ pub enum FolderError {
 impl FolderError {
     fn io(action: &'static str, path: &Path) -> impl FnOnce(io::Error) -> Self {
         move |error| Self::Io { action, path: path.to_owned(), error }
-    }
-
-    /// Whether there is no room: the disk or a quota is full, or files may not become so large.
-    pub fn is_full(&self) -> bool {
-        matches!(self, Self::Io { error, .. } if write::is_full(error))
     }
 
     /// Whether something was gone when it was needed.
@@ -954,13 +949,11 @@ mod tests {
         let path_of_it = path.join("checkpoint-3").display().to_string();
         assert!(error.to_string().contains(&path_of_it), "{error}");
         assert!(matches!(error, FolderError::Io { action: "write", .. }));
-        assert!(error.is_full());
         assert_eq!(names(&path), before);
         // A head that cannot be encoded.
         let none = &|_: usize, _: &mut dyn NumberSink| Ok(());
         let endless = folder.save(3, &Endless, &[], none).unwrap_err();
         assert!(endless.to_string().contains("cannot be encoded"), "{endless}");
-        assert!(!endless.is_full());
         // Arrays that are shorter than they should be, and one that cannot be had.
         let three = &|_: usize, sink: &mut dyn NumberSink| sink.put(&[3.0]);
         let short = folder.save(3, &"3", &[2], three).unwrap_err();
