@@ -5,7 +5,6 @@
 //! taken then, or refused.
 
 use std::path::{Path, PathBuf};
-use std::str::FromStr;
 use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
@@ -25,29 +24,6 @@ pub enum Every {
     Time(Duration),
     /// When so many steps are done.
     Steps(u32),
-}
-
-impl FromStr for Every {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let wrong =
-            || format!("`{text}` is neither a time such as 60s or 10m nor steps as in 500steps");
-        if let Some(steps) = text.strip_suffix("steps") {
-            let steps = steps.parse().ok().filter(|&steps| steps > 0);
-            return steps.map(Self::Steps).ok_or_else(wrong);
-        }
-        let (number, factor) = if let Some(number) = text.strip_suffix('s') {
-            (number, 1.0)
-        } else if let Some(number) = text.strip_suffix('m') {
-            (number, 60.0)
-        } else {
-            (text.strip_suffix('h').ok_or_else(wrong)?, 3600.0)
-        };
-        let seconds: f64 = number.parse().map_err(|_| wrong())?;
-        let time = Duration::try_from_secs_f64(seconds * factor).map_err(|_| wrong())?;
-        if time.is_zero() { Err(wrong()) } else { Ok(Self::Time(time)) }
-    }
 }
 
 /// Arrays of a checkpoint: samples and two moments.
@@ -474,16 +450,5 @@ mod tests {
         let resumed = resume(&path).unwrap();
         assert_eq!(resumed.plan, plan(1));
         assert!(resumed.damaged.len() == 1 && resumed.damaged[0].contains("checkpoint-3"));
-    }
-
-    #[test]
-    fn intervals_are_times_or_steps() {
-        assert_eq!("90s".parse(), Ok(Every::Time(Duration::from_secs(90))));
-        assert_eq!("0.5m".parse(), Ok(Every::Time(Duration::from_secs(30))));
-        assert_eq!("2h".parse(), Ok(Every::Time(Duration::from_secs(7200))));
-        assert_eq!("500steps".parse(), Ok(Every::Steps(500)));
-        for wrong in ["", "5", "s", "0s", "-1s", "nans", "infs", "0steps", "1.5steps", "5days"] {
-            assert!(wrong.parse::<Every>().is_err(), "{wrong}");
-        }
     }
 }
