@@ -174,12 +174,12 @@ pub fn write<H: Serialize>(
 ///
 /// # Errors
 /// Anything that is not exactly a checkpoint of `len` bytes, as [`write()`] writes it; a head that
-/// is no `H`; what `input` or `sink` reports.
-pub fn read_with<H: DeserializeOwned, E: From<CheckpointError>>(
+/// is no `H`; what `input` reports.
+pub fn read_with<H: DeserializeOwned>(
     input: &mut impl Read,
     len: u64,
-    sink: &mut ArraySink<'_, E>,
-) -> Result<(H, Seal), E> {
+    sink: &mut ArraySink<'_>,
+) -> Result<(H, Seal), CheckpointError> {
     let mut input = HashedReader::new(input, len);
     let (head, lengths) = front(&mut input)?;
     let head = decode(&head)?;
@@ -191,19 +191,19 @@ pub fn read_with<H: DeserializeOwned, E: From<CheckpointError>>(
 /// the same lengths as then, or nothing is passed on.
 ///
 /// # Errors
-/// Anything that is not exactly the file that was read before; what `input` or `sink` reports.
-pub fn read_again<E: From<CheckpointError>>(
+/// Anything that is not exactly the file that was read before; what `input` reports.
+pub fn read_again(
     input: &mut impl Read,
     seal: &Seal,
-    sink: &mut ArraySink<'_, E>,
-) -> Result<(), E> {
+    sink: &mut ArraySink<'_>,
+) -> Result<(), CheckpointError> {
     let mut input = HashedReader::new(input, seal.len);
     let (_, lengths) = front(&mut input)?;
     if lengths != seal.lengths {
-        return Err(CheckpointError::Checksum { part: "lengths" }.into());
+        return Err(CheckpointError::Checksum { part: "lengths" });
     }
     if contents(&mut input, &lengths, sink)? != seal.digest {
-        return Err(CheckpointError::Checksum { part: "contents" }.into());
+        return Err(CheckpointError::Checksum { part: "contents" });
     }
     Ok(())
 }
@@ -263,11 +263,11 @@ fn decode<H: DeserializeOwned>(head: &[u8]) -> Result<H, CheckpointError> {
 }
 
 /// The arrays, passed on, and the checksum of all. Returns that.
-fn contents<E: From<CheckpointError>>(
+fn contents(
     input: &mut HashedReader<impl Read>,
     lengths: &[u64],
-    sink: &mut ArraySink<'_, E>,
-) -> Result<[u8; DIGEST], E> {
+    sink: &mut ArraySink<'_>,
+) -> Result<[u8; DIGEST], CheckpointError> {
     let mut buffer = vec![0.0_f32; BLOCK];
     for (array, length) in lengths.iter().enumerate() {
         let mut left = *length;
@@ -275,7 +275,7 @@ fn contents<E: From<CheckpointError>>(
             let block = &mut buffer[..left.min(BLOCK as u64) as usize];
             input.fill(bytemuck::cast_slice_mut(block))?;
             block.iter_mut().for_each(|x| *x = f32::from_bits(u32::from_le(x.to_bits())));
-            sink(array, block)?;
+            sink(array, block);
             left -= block.len() as u64;
         }
     }
@@ -283,7 +283,7 @@ fn contents<E: From<CheckpointError>>(
     let mut found = [0; DIGEST];
     input.fill(&mut found)?;
     if found != expected {
-        return Err(CheckpointError::Checksum { part: "contents" }.into());
+        return Err(CheckpointError::Checksum { part: "contents" });
     }
     Ok(found)
 }
@@ -457,11 +457,10 @@ mod tests {
     }
 
     /// Puts pieces together to arrays, of which the last ones are left out if they are empty.
-    fn gather<E>(arrays: &mut Vec<Vec<f32>>) -> impl FnMut(usize, &[f32]) -> Result<(), E> {
+    fn gather(arrays: &mut Vec<Vec<f32>>) -> impl FnMut(usize, &[f32]) {
         |array, piece| {
             arrays.resize(arrays.len().max(array + 1), Vec::new());
             arrays[array].extend(piece);
-            Ok(())
         }
     }
 
@@ -668,13 +667,11 @@ mod tests {
     fn only_the_same_file_is_read_again() {
         let good = example();
         let len = good.len() as u64;
-        let keep = &mut |_, _: &[f32]| Ok::<_, CheckpointError>(());
-        let (_, seal): (Head, _) = read_with(&mut &*good, len, keep).unwrap();
+        let (_, seal): (Head, _) = read_with(&mut &*good, len, &mut |_, _| ()).unwrap();
         assert_eq!(seal.lengths(), [2, 0, BLOCK as u64 + 7]);
         let again = |file: &[u8]| {
             let mut arrays = Vec::new();
-            let result: Result<(), CheckpointError> =
-                read_again(&mut &*file, &seal, &mut gather(&mut arrays));
+            let result = read_again(&mut &*file, &seal, &mut gather(&mut arrays));
             match result {
                 Ok(()) => Ok(arrays),
                 Err(error) => Err((error.to_string(), arrays)),
@@ -694,29 +691,6 @@ mod tests {
         damaged[good.len() - 40] ^= 1;
         assert!(again(&damaged).unwrap_err().0.contains("the contents does not match"));
         assert!(again(&good[..good.len() - 1]).unwrap_err().0.contains("cut short"));
-    }
-
-    #[test]
-    fn who_takes_the_numbers_may_refuse_them() {
-        #[derive(Debug)]
-        enum Refused {
-            Checkpoint,
-            Array(usize),
-        }
-        impl From<CheckpointError> for Refused {
-            fn from(_: CheckpointError) -> Self {
-                Self::Checkpoint
-            }
-        }
-        let good = example();
-        let sink = &mut |array, _: &[f32]| match array {
-            0 => Ok(()),
-            _ => Err(Refused::Array(array)),
-        };
-        let result = read_with::<Head, _>(&mut &*good, good.len() as u64, sink);
-        assert!(matches!(result, Err(Refused::Array(2))));
-        let result = read_with::<Head, _>(&mut &*good, 7, sink);
-        assert!(matches!(result, Err(Refused::Checkpoint)));
     }
 
     #[test]

@@ -25,7 +25,7 @@ pub trait ArraySource {
 }
 
 /// Takes the pieces of several arrays, each with the number of its array.
-pub type ArraySink<'a, E> = dyn FnMut(usize, &[f32]) -> Result<(), E> + 'a;
+pub type ArraySink<'a> = dyn FnMut(usize, &[f32]) + 'a;
 
 impl<F: FnMut(&[f32]) -> io::Result<()>> NumberSink for F {
     fn put(&mut self, piece: &[f32]) -> io::Result<()> {

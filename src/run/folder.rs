@@ -225,32 +225,12 @@ impl Arrays {
     /// end, but was never more than [`Self::lengths`] say.
     ///
     /// # Errors
-    /// [`FolderError::Changed`] if the file is not what it was, what the system reports, and what
-    /// `sink` does.
-    pub fn read<E: From<FolderError>>(&mut self, sink: &mut ArraySink<'_, E>) -> Result<(), E> {
+    /// [`FolderError::Changed`] if the file is not what it was, and what the system reports.
+    pub fn read(&mut self, sink: &mut ArraySink<'_>) -> Result<(), FolderError> {
         let Self { path, file, seal } = self;
         file.rewind().map_err(FolderError::io("read", path))?;
-        let read = checkpoint::read_again(file, seal, &mut |array, piece| {
-            sink(array, piece).map_err(Failure::Sink)
-        });
-        read.map_err(|failure| match failure {
-            Failure::Checkpoint(error) => FolderError::Changed { path: path.clone(), error }.into(),
-            Failure::Sink(error) => error,
-        })
-    }
-}
-
-/// Why arrays were not passed on.
-enum Failure<E> {
-    /// They could not be read.
-    Checkpoint(CheckpointError),
-    /// They were not wanted.
-    Sink(E),
-}
-
-impl<E> From<CheckpointError> for Failure<E> {
-    fn from(error: CheckpointError) -> Self {
-        Self::Checkpoint(error)
+        checkpoint::read_again(file, seal, sink)
+            .map_err(|error| FolderError::Changed { path: path.clone(), error })
     }
 }
 
@@ -327,15 +307,12 @@ impl RunFolder {
         for number in self.numbers()? {
             let name = RunFile::Checkpoint(number).name();
             let path = self.path().join(&name);
-            let mut show = |array, piece: &[f32]| {
-                look(number, array, piece);
-                Ok(())
-            };
+            let show = &mut |array, piece: &[f32]| look(number, array, piece);
             let result = match self.directory.open_file(&name) {
                 Ok(mut file) => file
                     .metadata()
                     .map_err(CheckpointError::Io)
-                    .and_then(|it| checkpoint::read_with(&mut file, it.len(), &mut show))
+                    .and_then(|it| checkpoint::read_with(&mut file, it.len(), show))
                     .map(|(head, seal)| (head, file, seal)),
                 Err(FolderError::Io { error, .. }) => Err(CheckpointError::Io(error)),
                 Err(error) => return Err(error),
@@ -633,10 +610,7 @@ mod tests {
         assert_eq!(loaded.arrays.lengths(), [1]);
         for _ in 0..2 {
             let mut again = Vec::new();
-            loaded.arrays.read::<FolderError>(&mut |array, piece| {
-                again.push((number, array, piece.to_vec()));
-                Ok(())
-            })?;
+            loaded.arrays.read(&mut |array, piece| again.push((number, array, piece.to_vec())))?;
             assert_eq!(again, std::slice::from_ref(&expected));
         }
         Ok(loaded)
@@ -872,10 +846,7 @@ mod tests {
         let mut loaded = read_newest(&mut folder).unwrap();
         let mut read = || {
             let mut last = None;
-            let result: Result<(), FolderError> = loaded.arrays.read(&mut |_, piece| {
-                last = piece.last().copied();
-                Ok(())
-            });
+            let result = loaded.arrays.read(&mut |_, piece| last = piece.last().copied());
             result.map(|()| last)
         };
         // One that is as good, but another.
@@ -895,8 +866,6 @@ mod tests {
             fs::rename(path.join("checkpoint-4"), &name).unwrap();
             assert_eq!(read().unwrap(), Some(5.0));
         }
-        let result = loaded.arrays.read(&mut |_, _| Err(FolderError::NoName));
-        assert!(matches!(result, Err(FolderError::NoName)));
     }
 
     #[test]

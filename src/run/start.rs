@@ -89,22 +89,18 @@ impl InitialState {
     /// an error in the end, but was never more than the tile has coordinates.
     ///
     /// # Errors
-    /// A checkpoint that cannot be read again, and what `sink` reports.
-    pub fn read<E: From<FolderError>>(
-        &mut self,
-        plan: &Plan,
-        sink: &mut ArraySink<'_, E>,
-    ) -> Result<(), E> {
+    /// A checkpoint that cannot be read again.
+    pub fn read(&mut self, plan: &Plan, sink: &mut ArraySink<'_>) -> Result<(), FolderError> {
         match &mut self.source {
-            Source::Seed(_) | Source::AtRoot => Ok(()),
+            Source::Seed(_) | Source::AtRoot => (),
             Source::Given(samples) => sink(0, &samples.words),
-            Source::Checkpoint(arrays) => {
-                let starts = plan.from.step == 0;
-                arrays.read(&mut |array, piece| {
-                    if array > 0 && starts { Ok(()) } else { sink(array, piece) }
-                })
-            }
+            Source::Checkpoint(arrays) => arrays.read(&mut |array, piece| {
+                if array == 0 || plan.from.step > 0 {
+                    sink(array, piece);
+                }
+            })?,
         }
+        Ok(())
     }
 
     /// Puts it where the phases look for it: on every rank, what is its region's.
@@ -129,9 +125,8 @@ impl InitialState {
             let mut result = Ok(());
             if communicator.rank() == 0 {
                 let mut scatter = Scatter::new(communicator, &regions);
-                result = self.read::<FolderError>(plan, &mut |_, piece| {
+                result = self.read(plan, &mut |_, piece| {
                     scatter.take(piece, &mut |words| own.take(words));
-                    Ok(())
                 });
                 scatter.make_up(if goes_on { 3 } else { 1 });
             } else {
