@@ -18,27 +18,22 @@ pub struct Progress {
 }
 
 /// Someone who observes a run and may end it. Called between steps, never by two threads at once.
+/// What is not said otherwise goes unheard, and stops nothing.
 pub trait Observer {
     /// Hears where the run stands.
-    fn progress(&mut self, progress: Progress);
+    fn progress(&mut self, _progress: Progress) {}
 
     /// Hears in words of something out of the ordinary that the run has coped with.
-    fn report(&mut self, message: &str);
+    fn report(&mut self, _message: &str) {}
 
     /// Whether the run should end now: it then does the uniformity step and returns its tile.
-    fn stop(&self) -> Option<StopReason>;
+    fn stop(&self) -> Option<StopReason> {
+        None
+    }
 }
 
 /// Observes nothing and never stops.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Unobserved;
 
-impl Observer for Unobserved {
-    fn progress(&mut self, _: Progress) {}
-
-    fn report(&mut self, _: &str) {}
-
-    fn stop(&self) -> Option<StopReason> {
-        None
-    }
-}
+impl Observer for Unobserved {}
