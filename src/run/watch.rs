@@ -1,6 +1,7 @@
 //! What happens between two steps, whoever does them: the observer hears where the run stands, and
 //! the run is stopped and kept.
 
+use std::mem;
 use std::time::Instant;
 
 use crate::format::numbers::ArraySource;
@@ -24,8 +25,12 @@ pub struct Watch<'a> {
     plan: &'a Plan,
     observer: &'a mut dyn Observer,
     checkpointer: Option<&'a mut Checkpointer>,
-    clock: Clock,
     reason: Option<StopReason>,
+    /// Seconds of the phases that are over.
+    seconds: Vec<(Phase, f64)>,
+    /// The phase that is under way.
+    phase: Phase,
+    since: Instant,
 }
 
 impl<'a> Watch<'a> {
@@ -35,7 +40,8 @@ impl<'a> Watch<'a> {
         observer: &'a mut dyn Observer,
         checkpointer: Option<&'a mut Checkpointer>,
     ) -> Self {
-        Self { plan, observer, checkpointer, clock: Clock::new(), reason: None }
+        let (seconds, since) = (Vec::new(), Instant::now());
+        Self { plan, observer, checkpointer, reason: None, seconds, phase: Phase::Start, since }
     }
 
     /// Looks at a run before a step: reports where it stands, and says what is to happen.
@@ -100,46 +106,21 @@ impl<'a> Watch<'a> {
 
     /// A phase begins, if it is another than before.
     pub fn enter(&mut self, phase: Phase) {
-        self.clock.enter(phase);
-    }
-
-    /// Why the run was stopped, if it was, and the seconds of every phase.
-    pub fn finish(self) -> (Option<StopReason>, Vec<(Phase, f64)>) {
-        (self.reason, self.clock.seconds())
-    }
-}
-
-/// Seconds of each phase.
-#[derive(Debug)]
-struct Clock {
-    seconds: Vec<(Phase, f64)>,
-    phase: Phase,
-    since: Instant,
-}
-
-impl Clock {
-    /// A clock of a run that starts.
-    fn new() -> Self {
-        Self { seconds: Vec::new(), phase: Phase::Start, since: Instant::now() }
-    }
-
-    /// A phase begins, and another ends.
-    fn enter(&mut self, phase: Phase) {
         if phase != self.phase {
-            self.close();
+            self.leave();
             self.phase = phase;
         }
     }
 
-    fn close(&mut self) {
-        let now = Instant::now();
-        self.seconds.push((self.phase, now.duration_since(self.since).as_secs_f64()));
-        self.since = now;
+    /// A phase ends.
+    fn leave(&mut self) {
+        let passed = mem::replace(&mut self.since, Instant::now()).elapsed();
+        self.seconds.push((self.phase, passed.as_secs_f64()));
     }
 
-    /// Seconds of all phases that took place.
-    fn seconds(mut self) -> Vec<(Phase, f64)> {
-        self.close();
-        self.seconds
+    /// Why the run was stopped, if it was, and the seconds of every phase that took place.
+    pub fn finish(mut self) -> (Option<StopReason>, Vec<(Phase, f64)>) {
+        self.leave();
+        (self.reason, self.seconds)
     }
 }
