@@ -9,6 +9,7 @@ use perceptile::format::source::TileSource;
 use perceptile::format::write::Existing;
 use perceptile::metric::ScoreOptions;
 use perceptile::run::checkpointer::Checkpointer;
+use perceptile::run::folder::RunFolder;
 use perceptile::run::memory;
 use perceptile::run::output::OutputFiles;
 use perceptile::run::plan::Plan;
@@ -96,7 +97,7 @@ fn prepare(args: &OptimizeArgs, ranks: usize) -> Result<Option<PreparedRun>, Fai
     outputs.probe(existing)?;
     check_folder(&outputs, &folder)?;
     if args.dry_run {
-        Checkpointer::probe(&folder, existing)?;
+        RunFolder::probe(&folder, existing)?;
         print(&describe(&plan))?;
         return Ok(None);
     }

@@ -125,17 +125,9 @@ impl Checkpointer {
         if path.symlink_metadata().is_ok() {
             checkpointer.folder()?;
         } else {
-            Self::probe(path, existing)?;
+            RunFolder::probe(path, existing)?;
         }
         Ok(checkpointer)
-    }
-
-    /// Checks that [`Self::new`] could write to a folder now, and leaves no trace.
-    ///
-    /// # Errors
-    /// As for [`Self::new`].
-    pub fn probe(path: &Path, existing: Existing) -> Result<(), FolderError> {
-        RunFolder::probe(path, existing)
     }
 
     /// Looks at the newest checkpoint of a folder that can be used, for so many ranks, workers and threads to go on from. Its
@@ -160,28 +152,21 @@ impl Checkpointer {
         if version != env!("CARGO_PKG_VERSION") {
             return Err(ResumeError::Version { path: path.to_owned(), found: version });
         }
-        let content =
-            |rule: &str| ResumeError::Content { path: path.to_owned(), rule: rule.to_owned() };
-        let from = plan.from;
-        let most = match from.phase {
-            Phase::Descent => plan.options.steps,
-            Phase::Polish => plan.options.polish.steps,
-            Phase::Start | Phase::Warp => return Err(content("its phase has no steps")),
-        };
-        if from.step > most {
-            return Err(content("it has more steps than the run"));
-        }
-        if arrays.lengths().len() != ARRAYS {
-            return Err(content("it does not hold samples and two moments"));
-        }
-        if arrays.lengths() != lengths(&plan) {
-            return Err(content("it holds another number of coordinates than its tile has"));
-        }
-        if stray == Some(number) {
-            return Err(content("it holds samples outside [0, 1)"));
+        let (from, held) = (plan.from, arrays.lengths());
+        let content = |rule: String| ResumeError::Content { path: path.to_owned(), rule };
+        for (fits, rule) in [
+            (matches!(from.phase, Phase::Descent | Phase::Polish), "its phase has no steps"),
+            (from.step <= plan.steps_of(from.phase), "it has more steps than the run"),
+            (held.len() == ARRAYS, "it does not hold samples and two moments"),
+            (held == lengths(&plan), "it holds another number of coordinates than its tile has"),
+            (stray != Some(number), "it holds samples outside [0, 1)"),
+        ] {
+            if !fits {
+                return Err(content(rule.to_owned()));
+            }
         }
         let plan =
-            Plan { parallelism, ..plan }.checked().map_err(|error| content(&error.to_string()))?;
+            Plan { parallelism, ..plan }.checked().map_err(|error| content(error.to_string()))?;
         let done = plan.steps_done(from);
         let damaged = damaged.iter().map(|(path, error)| format!("{}: {error}", path.display()));
         let resumed = Resumed {
@@ -372,7 +357,7 @@ mod tests {
         for (name, part) in
             [("no/run", "there is no folder"), ("file/run", "no folder"), ("file", "not a folder")]
         {
-            for result in [new(&at(name)), Checkpointer::probe(&at(name), Existing::Keep)] {
+            for result in [new(&at(name)), RunFolder::probe(&at(name), Existing::Keep)] {
                 let error = result.unwrap_err().to_string();
                 assert!(error.contains(part), "{error}");
             }
@@ -381,7 +366,7 @@ mod tests {
         new(&at("run")).unwrap();
         assert!(!at("run").exists());
         std::fs::create_dir(at("run")).unwrap();
-        Checkpointer::probe(&at("run"), Existing::Keep).unwrap();
+        RunFolder::probe(&at("run"), Existing::Keep).unwrap();
         assert_eq!(std::fs::read_dir(at("run")).unwrap().count(), 0);
     }
 
