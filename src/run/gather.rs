@@ -27,6 +27,7 @@ struct Chunk {
 }
 
 /// How arrays are cut into chunks, and chunks into shares of regions.
+#[derive(Clone, Copy)]
 struct Cut<'a> {
     regions: &'a Regions,
     tile: TileShape,
@@ -39,29 +40,25 @@ impl<'a> Cut<'a> {
         Self { regions, tile, pixel: tile.spp() * tile.dims() }
     }
 
-    /// Rows of a chunk.
-    fn rows(&self) -> usize {
-        (CHUNK / (self.tile.width() * self.pixel)).max(1)
+    /// For each of `outer`, all of `inner`, as many at a time as a chunk has rows.
+    fn ranges(&self, outer: usize, inner: usize) -> impl Iterator<Item = [Range<usize>; 2]> {
+        let rows = (CHUNK / (self.tile.width() * self.pixel)).max(1);
+        (0..outer).flat_map(move |at| {
+            let starts = (0..inner).step_by(rows);
+            starts.map(move |start| [at..at + 1, start..(start + rows).min(inner)])
+        })
     }
 
     /// The chunks of an array in line order.
     fn in_line_order(&self) -> Vec<Chunk> {
-        let (rows, frames) = (self.rows(), self.tile.frames());
-        let chunk = |y: usize| {
-            let starts = (0..frames).step_by(rows);
-            starts.map(move |t| Chunk { lines: y..y + 1, frames: t..(t + rows).min(frames) })
-        };
-        (0..self.tile.height()).flat_map(chunk).collect()
+        let ranges = self.ranges(self.tile.height(), self.tile.frames());
+        ranges.map(|[lines, frames]| Chunk { lines, frames }).collect()
     }
 
     /// The chunks of an array in C order.
     fn in_c_order(&self) -> Vec<Chunk> {
-        let (rows, height) = (self.rows(), self.tile.height());
-        let chunk = |t: usize| {
-            let starts = (0..height).step_by(rows);
-            starts.map(move |y| Chunk { lines: y..(y + rows).min(height), frames: t..t + 1 })
-        };
-        (0..self.tile.frames()).flat_map(chunk).collect()
+        let ranges = self.ranges(self.tile.frames(), self.tile.height());
+        ranges.map(|[frames, lines]| Chunk { lines, frames }).collect()
     }
 
     /// Words of a chunk.
@@ -172,7 +169,7 @@ pub fn receive(communicator: &dyn Communicator, regions: &Regions, own: &mut dyn
     }
 }
 
-/// Puts chunks together from the shares of all ranks, as their root.
+/// Puts chunks together at the root, from the shares of all ranks.
 struct Gather<'a> {
     communicator: &'a dyn Communicator,
     cut: Cut<'a>,
@@ -182,20 +179,31 @@ struct Gather<'a> {
     result: io::Result<()>,
 }
 
-impl Gather<'_> {
-    /// Puts a chunk together and passes it on, unless something went wrong before.
+impl<'a> Gather<'a> {
+    fn new(communicator: &'a dyn Communicator, cut: Cut<'a>, sink: &'a mut dyn NumberSink) -> Self {
+        let (buffer, share) = (Vec::new(), Vec::new());
+        Self { communicator, cut, buffer, share, sink, result: Ok(()) }
+    }
+
+    /// Gives this rank's share of a chunk. The root puts the chunk together and passes it on, unless
+    /// something went wrong before.
     fn chunk(&mut self, chunk: &Chunk, own: &[f32]) {
         let Self { communicator, cut, buffer, share, sink, result } = self;
+        if communicator.rank() != 0 {
+            if !own.is_empty() {
+                communicator.send(0, bytemuck::cast_slice(own));
+            }
+            return;
+        }
         buffer.resize(cut.words(chunk), 0.0);
         for rank in cut.ranks(chunk) {
-            let words = if rank == communicator.rank() {
+            let mut from = if rank == 0 {
                 own
             } else {
                 share.resize(cut.shared_words(chunk, rank), 0.0);
                 communicator.receive(rank, bytemuck::cast_slice_mut(share));
                 share.as_slice()
             };
-            let mut from = words;
             for place in cut.places(chunk, rank) {
                 let (row, rest) = from.split_at(place.len());
                 buffer[place].copy_from_slice(row);
@@ -220,36 +228,20 @@ pub fn gather(
     sink: &mut dyn NumberSink,
 ) -> io::Result<()> {
     let cut = Cut::new(regions);
-    let chunks = cut.in_line_order();
-    let mut chunks = chunks.iter().peekable();
+    let mut whole = Gather::new(communicator, cut, sink);
+    let mut chunks = cut.in_line_order().into_iter().peekable();
     let mut waiting = Vec::new();
-    let rank = communicator.rank();
-    let share = |chunk: &Chunk| Cut::new(regions).shared_words(chunk, rank);
-    if rank != 0 {
-        return own.array(index, &mut |piece: &[f32]| {
-            waiting.extend_from_slice(piece);
-            while let Some(chunk) = chunks.next_if(|chunk| share(chunk) <= waiting.len()) {
-                let words = share(chunk);
-                if words > 0 {
-                    communicator.send(0, bytemuck::cast_slice(&waiting[..words]));
-                    waiting.drain(..words);
-                }
-            }
-            Ok(())
-        });
-    }
-    let (buffer, spare) = (Vec::new(), Vec::new());
-    let mut whole = Gather { communicator, cut, buffer, share: spare, sink, result: Ok(()) };
+    let share = |chunk: &Chunk| cut.shared_words(chunk, communicator.rank());
     let given = own.array(index, &mut |piece: &[f32]| {
         waiting.extend_from_slice(piece);
         while let Some(chunk) = chunks.next_if(|chunk| share(chunk) <= waiting.len()) {
-            let words = share(chunk);
-            whole.chunk(chunk, &waiting[..words]);
+            let words = share(&chunk);
+            whole.chunk(&chunk, &waiting[..words]);
             waiting.drain(..words);
         }
         Ok(())
     });
-    chunks.for_each(|chunk| whole.chunk(chunk, &[]));
+    chunks.for_each(|chunk| whole.chunk(&chunk, &[]));
     given.and(whole.result)
 }
 
@@ -265,26 +257,16 @@ pub fn gather_tile(
     sink: &mut dyn NumberSink,
 ) -> io::Result<()> {
     let cut = Cut::new(regions);
-    let chunks = cut.in_c_order();
-    let (rank, place) = (communicator.rank(), regions.own().place());
+    let mut whole = Gather::new(communicator, cut, sink);
+    let place = regions.own().place();
     let row = place.width * cut.pixel;
-    let share = |chunk: &Chunk| -> Vec<f32> {
-        let t = chunk.frames.start;
-        let rows = Cut::new(regions).share(chunk, rank).map(|y| {
-            let start = ((y - place.y) * regions.own().tile().frames() + t) * row;
+    for chunk in cut.in_c_order() {
+        let rows = cut.share(&chunk, communicator.rank()).map(|y| {
+            let start = ((y - place.y) * cut.tile.frames() + chunk.frames.start) * row;
             &own[start..start + row]
         });
-        rows.collect::<Vec<&[f32]>>().concat()
-    };
-    if rank != 0 {
-        for words in chunks.iter().map(share).filter(|words| !words.is_empty()) {
-            communicator.send(0, bytemuck::cast_slice(&words));
-        }
-        return Ok(());
+        whole.chunk(&chunk, &rows.collect::<Vec<&[f32]>>().concat());
     }
-    let (buffer, spare) = (Vec::new(), Vec::new());
-    let mut whole = Gather { communicator, cut, buffer, share: spare, sink, result: Ok(()) };
-    chunks.iter().for_each(|chunk| whole.chunk(chunk, &share(chunk)));
     whole.result
 }
 
