@@ -326,7 +326,7 @@ mod tests {
             let mut resumed = resume(&path).unwrap();
             prop_assert_eq!(&resumed.plan, &plan);
             prop_assert_eq!(resumed.invocation, "how");
-            prop_assert_eq!(resumed.start.record(), &record.read());
+            prop_assert_eq!(&resumed.start.record, &record.read());
             let mut arrays = vec![Vec::new(); 3];
             resumed.start.read(&plan, &mut |array, piece| arrays[array].extend(piece)).unwrap();
             // A phase that starts has no moments.

@@ -18,7 +18,7 @@ use crate::tile::{Partition, Region, Tile};
 pub struct InitialState {
     source: Source,
     /// The objective of steps before.
-    record: Recorded,
+    pub(super) record: Recorded,
 }
 
 /// Where samples come from.
@@ -78,11 +78,6 @@ impl InitialState {
         matches!(self.source, Source::Checkpoint(_))
     }
 
-    /// The objective of steps before.
-    pub fn record(&self) -> &Recorded {
-        &self.record
-    }
-
     /// Passes on what lies here of what the ranks of a plan start from, in line order and piece
     /// by piece, each piece with the number of its array: the samples (0), and if a phase is to go
     /// on, Adam's first (1) and second moments (2). What was passed on is worth nothing if there is
@@ -121,20 +116,29 @@ impl InitialState {
             storage.tile_mut(shape).copy_from_slice(&samples.words);
         } else {
             let goes_on = plan.from.step > 0;
-            let mut own = Own::new(storage.tile_mut(shape));
+            let arrays = if goes_on { 3 } else { 1 };
+            let tile = storage.tile_mut(shape);
+            let (mut taken, mut moments) = (0, [Vec::new(), Vec::new()]);
+            // One array comes after the other, and each piece is of one.
+            let mut own = |words: &[f32]| {
+                let (array, at) = (taken / tile.len(), taken % tile.len());
+                taken += words.len();
+                if array == 0 {
+                    tile[at..taken].copy_from_slice(words);
+                } else {
+                    let moments: &mut Vec<f32> = &mut moments[array - 1];
+                    moments.reserve_exact(tile.len() - at);
+                    moments.extend_from_slice(words);
+                }
+            };
             let mut result = Ok(());
             if communicator.rank() == 0 {
                 let mut scatter = Scatter::new(communicator, &regions);
-                result = self.read(plan, &mut |_, piece| {
-                    scatter.take(piece, &mut |words| own.take(words));
-                });
-                scatter.make_up(if goes_on { 3 } else { 1 });
+                result = self.read(plan, &mut |_, piece| scatter.take(piece, &mut own));
+                scatter.make_up(arrays);
             } else {
-                for _ in 0..if goes_on { 3 } else { 1 } {
-                    gather::receive(communicator, &regions, &mut |words| own.take(words));
-                }
+                (0..arrays).for_each(|_| gather::receive(communicator, &regions, &mut own));
             }
-            let moments = own.moments;
             let mut failed = [i64::from(result.is_err())];
             communicator.max(&mut failed);
             result?;
@@ -149,35 +153,5 @@ impl InitialState {
         storage.record.restore(&self.record);
         worker.board().start_after(rounds::enter(plan.from.phase) - 1);
         Ok(())
-    }
-}
-
-/// Where samples and moments go that come one after the other.
-struct Own<'a> {
-    samples: &'a mut [f32],
-    count: usize,
-    moments: [Vec<f32>; 2],
-}
-
-impl<'a> Own<'a> {
-    fn new(samples: &'a mut [f32]) -> Self {
-        Self { count: samples.len(), samples, moments: [Vec::new(), Vec::new()] }
-    }
-
-    fn take(&mut self, mut words: &[f32]) {
-        let here = words.len().min(self.samples.len());
-        if here > 0 {
-            let (to, rest) = std::mem::take(&mut self.samples).split_at_mut(here);
-            to.copy_from_slice(&words[..here]);
-            (self.samples, words) = (rest, &words[here..]);
-        }
-        for moments in &mut self.moments {
-            let here = words.len().min(self.count - moments.len());
-            if here > 0 {
-                moments.reserve_exact(self.count - moments.len());
-                moments.extend_from_slice(&words[..here]);
-                words = &words[here..];
-            }
-        }
     }
 }
