@@ -72,7 +72,7 @@ impl Plan {
     /// # Errors
     /// Too many draws for one step.
     pub fn check_batch(&self) -> Result<(), OptionsError> {
-        self.quantum(&self.draws()).map(|_| ())
+        self.draws().map(drop)
     }
 
     /// The cells that draws are made for.
@@ -168,15 +168,13 @@ impl Plan {
         self.kernel.folded(self.options.shape.frames()).expect("a plan that was checked")
     }
 
-    fn draws(&self) -> Draws {
+    /// Its draws, and what their gradients are counted in.
+    fn draws(&self) -> Result<(Draws, Quantum), OptionsError> {
         let Options { draw, seed, shape, .. } = self.options;
-        Draws::new(draw, seed, levels(&self.seen()), shape.dims())
-    }
-
-    fn quantum(&self, draws: &Draws) -> Result<Quantum, OptionsError> {
-        let Options { draw, .. } = self.options;
-        Quantum::new(draws, &self.partition())
-            .ok_or(OptionsError::Batch { draws: draw.draws, directions: draw.directions })
+        let draws = Draws::new(draw, seed, levels(&self.seen()), shape.dims());
+        let quantum = Quantum::new(&draws, &self.partition())
+            .ok_or(OptionsError::Batch { draws: draw.draws, directions: draw.directions })?;
+        Ok((draws, quantum))
     }
 
     /// What its descent goes by.
@@ -184,8 +182,7 @@ impl Plan {
     /// # Errors
     /// If a step would be too coarse.
     pub fn gradient(&self, simd: Simd) -> Result<Gradient, OptionsError> {
-        let draws = self.draws();
-        let quantum = self.quantum(&draws)?;
+        let (draws, quantum) = self.draws()?;
         Ok(Gradient::new(draws, self.partition(), quantum, simd))
     }
 }
