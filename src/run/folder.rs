@@ -15,7 +15,7 @@ mod system;
 
 use std::fmt::Write as _;
 use std::fs::{self, File, TryLockError};
-use std::io::{self, BufWriter, ErrorKind, Seek, Write};
+use std::io::{self, BufWriter, ErrorKind, Seek};
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
@@ -24,7 +24,7 @@ use thiserror::Error;
 
 use crate::format::checkpoint::{self, CheckpointError, Seal};
 use crate::format::numbers::{ArraySink, ArraySource};
-use crate::format::write::Existing;
+use crate::format::write::{Existing, folder_of};
 use system::Directory;
 
 /// The file whose lock a run holds; it is empty.
@@ -53,11 +53,8 @@ pub enum FolderError {
         folder: PathBuf,
     },
     /// It is a symbolic link, a file or the like.
-    #[error("{} is not a folder, which a run's must be itself and not by a link", path.display())]
-    NotFolder {
-        /// The path.
-        path: PathBuf,
-    },
+    #[error("{} is not a folder, which a run's must be itself and not by a link", .0.display())]
+    NotFolder(PathBuf),
     /// It holds other things than a run.
     #[error(
         "{} holds {found:?} but no run: a run's folder must be new, empty or a run's already",
@@ -70,11 +67,8 @@ pub enum FolderError {
         found: String,
     },
     /// Another run holds its lock.
-    #[error("{} is in use by another run, and a run must have its folder alone", path.display())]
-    InUse {
-        /// The folder.
-        path: PathBuf,
-    },
+    #[error("{} is in use by another run, and a run must have its folder alone", .0.display())]
+    InUse(PathBuf),
     /// A folder or a file in it belongs to somebody else.
     #[error(
         "{} belongs to user {owner}, but a run's folder and files must be of user {user}, who runs it",
@@ -100,11 +94,8 @@ pub enum FolderError {
         mode: u32,
     },
     /// Something else has the name of one of the run's files.
-    #[error("{} is not a regular file, which a run's files must be", path.display())]
-    NotFile {
-        /// The file's path.
-        path: PathBuf,
-    },
+    #[error("{} is not a regular file, which a run's files must be", .0.display())]
+    NotFile(PathBuf),
     /// A run is there that could be resumed, and giving it up was not asked for.
     #[error(
         "{} holds an unfinished run, up to {CHECKPOINT}{number}: resume it; --force gives it up",
@@ -117,11 +108,8 @@ pub enum FolderError {
         number: u64,
     },
     /// There is nothing to resume.
-    #[error("{} holds no checkpoint that a run could go on from", path.display())]
-    NoRun {
-        /// The folder.
-        path: PathBuf,
-    },
+    #[error("{} holds no checkpoint that a run could go on from", .0.display())]
+    NoRun(PathBuf),
     /// All that there is to resume is damaged.
     #[error("{} holds no checkpoint that can be used:{}", path.display(), list(damaged))]
     Damaged {
@@ -328,7 +316,7 @@ impl RunFolder {
         }
         let path = self.path().to_owned();
         match damaged.is_empty() {
-            true => Err(FolderError::NoRun { path }),
+            true => Err(FolderError::NoRun(path)),
             false => Err(FolderError::Damaged { path, damaged }),
         }
     }
@@ -349,28 +337,6 @@ impl RunFolder {
         lengths: &[u64],
         arrays: &dyn ArraySource,
     ) -> Result<(), FolderError> {
-        self.put(number, |mut out| checkpoint::write(&mut out, head, lengths, arrays))
-    }
-
-    /// Removes what the run has made, and the folder if that leaves it empty and the system lets
-    /// it go. Files of others stay.
-    ///
-    /// # Errors
-    /// A file that cannot be removed.
-    pub fn remove(self) -> Result<(), FolderError> {
-        self.clear(|_| true)?;
-        self.remove_file(LOCK)?;
-        // It may hold other files, be a mount or stand where we may not remove it: no harm.
-        let _ = fs::remove_dir(self.path());
-        Ok(())
-    }
-
-    /// Saves what `content` writes.
-    fn put(
-        &mut self,
-        number: u64,
-        content: impl FnOnce(&mut dyn Write) -> io::Result<()>,
-    ) -> Result<(), FolderError> {
         if let Some(last) = self.last.filter(|last| number <= *last) {
             return Err(FolderError::Number { path: self.path().to_owned(), number, last });
         }
@@ -380,7 +346,7 @@ impl RunFolder {
         let partial = RunFile::Partial(number).name();
         let written = self.directory.create(&partial).and_then(|file| {
             let mut buffer = BufWriter::new(file);
-            content(&mut buffer)?;
+            checkpoint::write(&mut buffer, head, lengths, arrays)?;
             buffer.into_inner()?.sync_all()?;
             self.directory.rename(&partial, &name)
         });
@@ -403,6 +369,19 @@ impl RunFolder {
         let kept: Vec<u64> =
             self.numbers()?.into_iter().filter(|kept| *kept <= number).take(KEPT).collect();
         self.clear(|entry| matches!(entry, RunFile::Checkpoint(number) if !kept.contains(&number)))
+    }
+
+    /// Removes what the run has made, and the folder if that leaves it empty and the system lets
+    /// it go. Files of others stay.
+    ///
+    /// # Errors
+    /// A file that cannot be removed.
+    pub fn remove(self) -> Result<(), FolderError> {
+        self.clear(|_| true)?;
+        self.remove_file(LOCK)?;
+        // It may hold other files, be a mount or stand where we may not remove it: no harm.
+        let _ = fs::remove_dir(self.path());
+        Ok(())
     }
 
     /// An error if an unfinished run is there and is to be kept.
@@ -429,15 +408,13 @@ impl RunFolder {
             match Self::lock(path, new) {
                 // The run that had the folder removed it under our hands.
                 Err(error) if new && error.is_gone() => (),
-                Err(error) if error.is_gone() => {
-                    return Err(FolderError::NoRun { path: path.to_owned() });
-                }
+                Err(error) if error.is_gone() => return Err(FolderError::NoRun(path.to_owned())),
                 Ok(None) => (),
                 Ok(Some(folder)) => return Ok(folder),
                 Err(error) => return Err(error),
             }
         }
-        Err(FolderError::InUse { path: path.to_owned() })
+        Err(FolderError::InUse(path.to_owned()))
     }
 
     /// Locks a folder that is there; nothing if its lock was removed meanwhile.
@@ -445,7 +422,7 @@ impl RunFolder {
         let directory = Directory::open(path)?;
         let names = directory.names().map_err(FolderError::io("list", path))?;
         if names.is_empty() && !new {
-            return Err(FolderError::NoRun { path: path.to_owned() });
+            return Err(FolderError::NoRun(path.to_owned()));
         }
         // Checkpoints alone are a run's, too: it may have been copied, or is just being removed.
         let foreign = names.iter().find(|name| RunFile::of(name.to_str()).is_none());
@@ -457,9 +434,7 @@ impl RunFolder {
         let at = path.join(LOCK);
         match lock.try_lock() {
             Ok(()) => (),
-            Err(TryLockError::WouldBlock) => {
-                return Err(FolderError::InUse { path: path.to_owned() });
-            }
+            Err(TryLockError::WouldBlock) => return Err(FolderError::InUse(path.to_owned())),
             Err(TryLockError::Error(error)) => return Err(FolderError::io("lock", &at)(error)),
         }
         // A lock on a file that was removed would keep nobody out.
@@ -487,14 +462,11 @@ impl RunFolder {
 
     /// The numbers of all checkpoints, newest first.
     fn numbers(&self) -> Result<Vec<u64>, FolderError> {
-        let mut numbers: Vec<u64> = self
-            .entries()?
-            .into_iter()
-            .filter_map(|entry| match entry {
-                RunFile::Checkpoint(number) => Some(number),
-                RunFile::Partial(_) => None,
-            })
-            .collect();
+        let number = |entry| match entry {
+            RunFile::Checkpoint(number) => Some(number),
+            RunFile::Partial(_) => None,
+        };
+        let mut numbers: Vec<u64> = self.entries()?.into_iter().filter_map(number).collect();
         numbers.sort_unstable_by(|a, b| b.cmp(a));
         Ok(numbers)
     }
@@ -523,9 +495,7 @@ fn make(path: &Path) -> Result<(), FolderError> {
     match Directory::make(path) {
         Err(error) if error.kind() == ErrorKind::AlreadyExists => Ok(()),
         Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => {
-            let around = path.parent().filter(|around| *around != Path::new(""));
-            let folder = around.unwrap_or(Path::new(".")).to_owned();
-            Err(FolderError::NoFolder { path: path.to_owned(), folder })
+            Err(FolderError::NoFolder { path: path.to_owned(), folder: folder_of(path).to_owned() })
         }
         result => result.map_err(FolderError::io("make", path)),
     }
@@ -561,6 +531,8 @@ impl RunFile {
 
 #[cfg(test)]
 mod tests {
+    use std::io::Write;
+
     use proptest::prelude::*;
     use tempfile::TempDir;
 
@@ -910,11 +882,11 @@ mod tests {
             save(&mut folder, number).unwrap();
         }
         let before = names(&path);
-        let full = folder.put(3, |out| {
-            out.write_all(&[0; 100_000])?;
+        let full = &|_: usize, sink: &mut dyn NumberSink| {
+            sink.put(&[0.0; 25_000])?;
             Err(ErrorKind::StorageFull.into())
-        });
-        let error = full.unwrap_err();
+        };
+        let error = folder.save(3, &"3", &[25_000], full).unwrap_err();
         let path_of_it = path.join("checkpoint-3").display().to_string();
         assert!(error.to_string().contains(&path_of_it), "{error}");
         assert!(matches!(error, FolderError::Io { action: "write", .. }));

@@ -44,8 +44,7 @@ impl OutputFiles {
     /// Which of the files a path is, if it is one of them.
     pub fn find(&self, path: &Path) -> Option<&Path> {
         let whole = |path: &Path| {
-            let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
-            let folder = folder.unwrap_or(Path::new(".")).canonicalize().ok()?;
+            let folder = write::folder_of(path).canonicalize().ok()?;
             Some(folder.join(path.file_name()?))
         };
         let wanted = whole(path)?;

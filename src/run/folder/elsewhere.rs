@@ -23,7 +23,7 @@ impl Directory {
     pub fn open(path: &Path) -> Result<Self, FolderError> {
         let metadata = fs::symlink_metadata(path).map_err(FolderError::io("open", path))?;
         if !metadata.is_dir() {
-            return Err(FolderError::NotFolder { path: path.to_owned() });
+            return Err(FolderError::NotFolder(path.to_owned()));
         }
         Ok(Self { path: path.to_owned() })
     }
@@ -77,7 +77,7 @@ impl Directory {
     fn open_own(&self, name: &str, options: &fs::OpenOptions) -> Result<File, FolderError> {
         let path = self.path.join(name);
         match fs::symlink_metadata(&path) {
-            Ok(metadata) if !metadata.is_file() => return Err(FolderError::NotFile { path }),
+            Ok(metadata) if !metadata.is_file() => return Err(FolderError::NotFile(path)),
             Err(error) if error.kind() != ErrorKind::NotFound => {
                 return Err(FolderError::io("open", &path)(error));
             }

@@ -35,7 +35,7 @@ impl Directory {
         let file: File = match rustix::fs::open(path, flags, Mode::empty()) {
             Ok(folder) => folder.into(),
             Err(Errno::NOTDIR | Errno::LOOP | Errno::MLINK) => {
-                return Err(FolderError::NotFolder { path: path.to_owned() });
+                return Err(FolderError::NotFolder(path.to_owned()));
             }
             Err(error) => return Err(FolderError::io("open", path)(error.into())),
         };
@@ -116,13 +116,13 @@ impl Directory {
         {
             Ok(file) => file.into(),
             Err(Errno::LOOP | Errno::MLINK | Errno::ISDIR | Errno::NXIO) => {
-                return Err(FolderError::NotFile { path });
+                return Err(FolderError::NotFile(path));
             }
             Err(error) => return Err(FolderError::io("open", &path)(error.into())),
         };
         let metadata = file.metadata().map_err(FolderError::io("open", &path))?;
         if !metadata.is_file() {
-            return Err(FolderError::NotFile { path });
+            return Err(FolderError::NotFile(path));
         }
         check_owner(&path, &metadata)?;
         Ok(file)
