@@ -15,7 +15,7 @@ use crate::format::numbers::{ArraySource, NumberSink};
 use crate::gradient::simd::Simd;
 #[cfg(unix)]
 use crate::run::backend::workers::{self, WorkersOptions};
-use crate::run::backend::{Backend, Finished, ranks, threads};
+use crate::run::backend::{Backend, ranks, threads};
 use crate::run::checkpointer::Checkpointer;
 use crate::run::error::RunError;
 use crate::run::gather;
@@ -143,14 +143,22 @@ pub fn run(
 
 /// Looks at a run between its steps until they are over.
 fn drive(plan: &Plan, mut backend: impl Backend, mut watch: Watch<'_>) -> Result<Output, RunError> {
+    let (worker, record) = backend.shared();
+    let (worker, record) = (Arc::clone(worker), Arc::clone(record));
+    let communicator = Arc::clone(worker.communicator());
+    let recorded = || {
+        let mut recorded = record.read();
+        communicator.sum(&mut recorded.words);
+        recorded
+    };
     while let Some(at) = backend.position() {
-        let decision = watch.look(at, &backend.recorded(), backend.workers());
+        let decision = watch.look(at, &recorded(), backend.workers());
         let decision = backend.agree(at, decision, &watch);
         if let Some(reason) = decision.stop {
             watch.stops(reason);
         }
         if let Some(at) = backend.obey(at, decision) {
-            if let Err(error) = watch.save(at, backend.recorded(), &backend) {
+            if let Err(error) = watch.save(at, recorded(), &backend) {
                 watch.report(&format!("no checkpoint was written: {error}"));
             }
             backend.release();
@@ -158,15 +166,16 @@ fn drive(plan: &Plan, mut backend: impl Backend, mut watch: Watch<'_>) -> Result
         backend.advance(&mut watch)?;
     }
     watch.enter(Phase::Warp);
-    let Finished { worker, regions, section, recorded, parallel } = backend.finish();
+    let (storage, parallel) = backend.finish();
+    let section = storage.into_tile(plan.options.warp.all_frames(plan.options.shape.dims()));
     let (reason, seconds) = watch.finish();
     let (steps, reason) = plan.outcome(&worker, reason);
     let descended = steps.min(plan.options.steps);
+    let recorded = recorded();
     let [objective_before, objective_after] = recorded.means(descended);
     let convergence = recorded.curve(descended);
     let summary =
         Summary { reason, steps, objective_before, objective_after, convergence, seconds };
-    let communicator = Arc::clone(worker.communicator());
-    let gathered = Cell::new(false);
+    let (regions, gathered) = (plan.regions(communicator.rank()), Cell::new(false));
     Ok(Output { summary, parallel, communicator, regions, section, gathered })
 }

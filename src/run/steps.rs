@@ -6,7 +6,6 @@
 use std::mem;
 use std::sync::Arc;
 
-use perceptile_cluster::shared::Section;
 use perceptile_cluster::{Ends, Worker};
 
 use crate::format::numbers::ArraySource;
@@ -14,13 +13,14 @@ use crate::gradient::probe::Unprobed;
 use crate::gradient::simd::Simd;
 use crate::run::plan::{Plan, Position, classes};
 use crate::solver::polish::Polish;
-use crate::solver::{Descent, OptionsError, Phase, Storage, rounds, warp};
+use crate::solver::{Descent, OptionsError, Phase, Record, Storage, rounds, warp};
 use crate::tile::Regions;
 
 /// The steps of a plan, from the samples and the moments of a region that lie in its storage.
 pub struct Steps<'a> {
     plan: &'a Plan,
     worker: Arc<Worker>,
+    record: Arc<Record>,
     regions: Regions,
     simd: Simd,
     at: Position,
@@ -49,10 +49,15 @@ impl<'a> Steps<'a> {
         simd: Simd,
     ) -> Result<Self, OptionsError> {
         let regions = plan.regions(worker.communicator().rank());
-        let mut steps =
-            Self { plan, worker, regions, simd, at: Position::START, stage: Stage::Between };
+        let (record, at) = (Arc::clone(&storage.record), Position::START);
+        let mut steps = Self { plan, worker, record, regions, simd, at, stage: Stage::Between };
         steps.start(Phase::Descent, storage)?;
         Ok(steps)
+    }
+
+    /// Who does the steps, and what the draws of this rank found.
+    pub fn shared(&self) -> (&Arc<Worker>, &Arc<Record>) {
+        (&self.worker, &self.record)
     }
 
     /// Where the run stands: before a step, or after the last one of a phase. `None` when all steps
@@ -101,12 +106,12 @@ impl<'a> Steps<'a> {
         }
     }
 
-    /// Makes the tile uniform, when all steps are over. Returns the section in which the region
-    /// lies, in line order.
+    /// Makes the tile uniform, when all steps are over. Returns the storage in which the region
+    /// lies ([`Storage::into_tile`]).
     ///
     /// # Panics
     /// If a step is still to be done.
-    pub fn finish(self) -> Section {
+    pub fn finish(self) -> Storage {
         let Self { plan, worker, regions, simd, stage, .. } = self;
         let Stage::Over(storage) = stage else { panic!("a step is still to be done") };
         let shape = regions.own().shape();
@@ -114,7 +119,7 @@ impl<'a> Steps<'a> {
         let storage = warp::warp(&worker, storage, shape, options.warp, options.seed, simd);
         // A round without jobs says that all is over, warped or not.
         worker.round(plan.last_round(), Ends::Half, 0..0, (), |_, ()| ());
-        storage.into_tile(options.warp.all_frames(shape.dims()))
+        storage
     }
 
     /// Starts a phase, or the next one that has something to do.

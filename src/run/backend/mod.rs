@@ -10,15 +10,13 @@
 use std::sync::Arc;
 
 use perceptile_cluster::Worker;
-use perceptile_cluster::shared::Section;
 
 use crate::format::numbers::ArraySource;
 use crate::run::error::RunError;
 use crate::run::plan::Position;
 use crate::run::summary::ParallelSummary;
 use crate::run::watch::{Decision, Watch};
-use crate::solver::Recorded;
-use crate::tile::Regions;
+use crate::solver::{Record, Storage};
 
 pub mod ranks;
 pub mod threads;
@@ -27,11 +25,11 @@ pub mod workers;
 
 /// Who does the steps of a run. Its state is that of the whole tile, while it stands still.
 pub(super) trait Backend: ArraySource {
+    /// Whose board says how the run goes, and what the draws of this rank found.
+    fn shared(&self) -> (&Arc<Worker>, &Arc<Record>);
+
     /// Where the run stands; `None` when all steps are over.
     fn position(&self) -> Option<Position>;
-
-    /// What the draws of the descent found so far, on all ranks.
-    fn recorded(&self) -> Recorded;
 
     /// Worker processes, and those that were replaced so far, if there are any.
     fn workers(&self) -> Option<(usize, usize)> {
@@ -55,20 +53,7 @@ pub(super) trait Backend: ArraySource {
     /// If the run is lost.
     fn advance(&mut self, watch: &mut Watch<'_>) -> Result<(), RunError>;
 
-    /// Makes the tile uniform, when all steps are over.
-    fn finish(self) -> Finished;
-}
-
-/// What is left when all is done.
-pub(super) struct Finished {
-    /// Whose board says how the run ended.
-    pub worker: Arc<Worker>,
-    /// The regions of all ranks.
-    pub regions: Regions,
-    /// Where this rank's region lies, in line order.
-    pub section: Section,
-    /// What the draws of the descent found, on all ranks.
-    pub recorded: Recorded,
-    /// What those who did the steps did.
-    pub parallel: ParallelSummary,
+    /// Makes the tile uniform, when all steps are over. Gives the storage that it lies in, and what
+    /// those who did the steps did.
+    fn finish(self) -> (Storage, ParallelSummary);
 }

@@ -15,8 +15,8 @@ use perceptile_cluster::Worker;
 use perceptile_cluster::communicator::Communicator;
 use perceptile_cluster::shared::Counter;
 
+use super::Backend;
 use super::threads::Threads;
-use super::{Backend, Finished};
 use crate::format::numbers::{ArraySource, NumberSink};
 use crate::gradient::simd::Simd;
 use crate::run::error::RunError;
@@ -25,7 +25,7 @@ use crate::run::start::InitialState;
 use crate::run::summary::{ParallelSummary, RankSummary, RanksSummary, imbalance};
 use crate::run::watch::{Decision, Watch};
 use crate::run::{gather, memory};
-use crate::solver::{Recorded, StopReason};
+use crate::solver::{Record, StopReason, Storage};
 use crate::tile::{Region, Regions};
 
 /// How much time passes between two pulses: a run that is to stop does so after that.
@@ -35,6 +35,7 @@ const PULSE: Duration = Duration::from_millis(100);
 pub struct Ranks<'a> {
     plan: &'a Plan,
     communicator: Arc<dyn Communicator>,
+    regions: Regions,
     /// What this rank does with its region.
     own: Threads<'a>,
     /// The next pulse is before this step, counted over all phases, and the one after it so many
@@ -65,9 +66,9 @@ impl<'a> Ranks<'a> {
         if failed != [0] {
             return Err(RunError::Elsewhere);
         }
-        let own = Threads::on(memory, regions, plan, start, simd)?;
+        let own = Threads::on(memory, plan, start, simd)?;
         let (last, gathered) = (Instant::now(), Cell::new(0));
-        Ok(Self { plan, communicator, own, next: 0, interval: 1, last, gathered })
+        Ok(Self { plan, communicator, regions, own, next: 0, interval: 1, last, gathered })
     }
 
     /// Steps until the pulse after this one, as the root's clock and checkpointer have it.
@@ -82,19 +83,17 @@ impl<'a> Ranks<'a> {
 impl ArraySource for Ranks<'_> {
     fn array(&self, index: usize, sink: &mut dyn NumberSink) -> io::Result<()> {
         self.gathered.set(index + 1);
-        gather::gather(&*self.communicator, &self.own.regions, (&self.own, index), sink)
+        gather::gather(&*self.communicator, &self.regions, (&self.own, index), sink)
     }
 }
 
 impl Backend for Ranks<'_> {
-    fn position(&self) -> Option<Position> {
-        self.own.position()
+    fn shared(&self) -> (&Arc<Worker>, &Arc<Record>) {
+        self.own.shared()
     }
 
-    fn recorded(&self) -> Recorded {
-        let mut recorded = self.own.recorded();
-        self.communicator.sum(&mut recorded.words);
-        recorded
+    fn position(&self) -> Option<Position> {
+        self.own.position()
     }
 
     fn agree(&mut self, at: Position, own: Decision, watch: &Watch<'_>) -> Decision {
@@ -148,11 +147,10 @@ impl Backend for Ranks<'_> {
         }
     }
 
-    fn finish(self) -> Finished {
-        let mut finished = self.own.finish();
-        self.communicator.sum(&mut finished.recorded.words);
-        let summary = summary(&finished.worker, &finished.regions);
-        Finished { parallel: ParallelSummary::Ranks(summary), ..finished }
+    fn finish(self) -> (Storage, ParallelSummary) {
+        let worker = Arc::clone(self.shared().0);
+        let (storage, _) = self.own.finish();
+        (storage, ParallelSummary::Ranks(summary(&worker, &self.regions)))
     }
 }
 

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use perceptile_cluster::Worker;
 
-use super::{Backend, Finished};
+use super::Backend;
 use crate::format::numbers::{ArraySource, NumberSink};
 use crate::gradient::simd::Simd;
 use crate::run::error::RunError;
@@ -14,16 +14,11 @@ use crate::run::start::InitialState;
 use crate::run::steps::Steps;
 use crate::run::summary::ParallelSummary;
 use crate::run::watch::{Decision, Watch};
-use crate::solver::{Record, Recorded, Storage};
-use crate::tile::Regions;
+use crate::solver::{Record, Storage};
+use crate::tile::Region;
 
 /// The threads of the current pool.
-pub struct Threads<'a> {
-    pub(super) worker: Arc<Worker>,
-    pub(super) record: Arc<Record>,
-    pub(super) regions: Regions,
-    pub(super) steps: Steps<'a>,
-}
+pub struct Threads<'a>(Steps<'a>);
 
 impl<'a> Threads<'a> {
     /// Gets a run ready for its first step.
@@ -31,56 +26,49 @@ impl<'a> Threads<'a> {
     /// # Errors
     /// If there is too little memory, or a checkpoint cannot be read again.
     pub fn start(plan: &'a Plan, start: InitialState, simd: Simd) -> Result<Self, RunError> {
-        let regions = Regions::whole(plan.options.shape);
-        let memory = plan.storage(regions.own()).private()?;
-        Self::on(memory, regions, plan, start, simd)
+        let memory = plan.storage(Region::whole(plan.options.shape)).private()?;
+        Self::on(memory, plan, start, simd)
     }
 
     /// The same on memory for this rank's region.
     pub(super) fn on(
         (worker, mut storage): (Arc<Worker>, Storage),
-        regions: Regions,
         plan: &'a Plan,
         start: InitialState,
         simd: Simd,
     ) -> Result<Self, RunError> {
         start.put(plan, &worker, &mut storage)?;
-        let record = Arc::clone(&storage.record);
-        let steps = Steps::new(plan, Arc::clone(&worker), storage, simd)?;
-        Ok(Self { worker, record, regions, steps })
+        Ok(Self(Steps::new(plan, worker, storage, simd)?))
     }
 }
 
 impl ArraySource for Threads<'_> {
     fn array(&self, index: usize, sink: &mut dyn NumberSink) -> io::Result<()> {
-        self.steps.state().array(index, sink)
+        self.0.state().array(index, sink)
     }
 }
 
 impl Backend for Threads<'_> {
-    fn position(&self) -> Option<Position> {
-        self.steps.position()
+    fn shared(&self) -> (&Arc<Worker>, &Arc<Record>) {
+        self.0.shared()
     }
 
-    fn recorded(&self) -> Recorded {
-        self.record.read()
+    fn position(&self) -> Option<Position> {
+        self.0.position()
     }
 
     fn obey(&mut self, at: Position, decision: Decision) -> Option<Position> {
         if decision.stop.is_some() {
-            self.worker.board().stop_here();
+            self.0.shared().0.board().stop_here();
         }
         decision.checkpoint.then_some(at)
     }
 
     fn advance(&mut self, _: &mut Watch<'_>) -> Result<(), RunError> {
-        Ok(self.steps.advance()?)
+        Ok(self.0.advance()?)
     }
 
-    fn finish(self) -> Finished {
-        let Self { worker, record, regions, steps } = self;
-        let section = steps.finish();
-        let recorded = record.read();
-        Finished { worker, regions, section, recorded, parallel: ParallelSummary::Threads }
+    fn finish(self) -> (Storage, ParallelSummary) {
+        (self.0.finish(), ParallelSummary::Threads)
     }
 }

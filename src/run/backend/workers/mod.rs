@@ -4,8 +4,8 @@
 //! and reaped, the jobs that it had claimed are released, and another takes its place. When too
 //! many were lost, this process ends the step that they were in, writes a checkpoint and gives up.
 
+use std::cell::OnceCell;
 use std::io;
-use std::mem;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -14,9 +14,9 @@ use std::time::Duration;
 use perceptile_cluster::Worker;
 use perceptile_cluster::faults::FaultPlan;
 use perceptile_cluster::process::{Cause, Loss, Workers};
-use perceptile_cluster::shared::{Board, Counter, Section};
+use perceptile_cluster::shared::{Board, Counter};
 
-use super::{Backend, Finished};
+use super::Backend;
 use crate::format::numbers::{ArraySource, NumberSink};
 use crate::gradient::simd::Simd;
 use crate::run::error::{RunError, WorkersError};
@@ -25,8 +25,8 @@ use crate::run::start::InitialState;
 use crate::run::steps::Steps;
 use crate::run::summary::{ParallelSummary, WorkerSummary, WorkersSummary, imbalance};
 use crate::run::watch::{Decision, Watch};
-use crate::solver::{Phase, Recorded, SharedSnapshot, Storage, faults, rounds};
-use crate::tile::{Reach, Regions};
+use crate::solver::{Phase, Record, SharedSnapshot, Storage, faults, rounds};
+use crate::tile::Reach;
 
 mod launch;
 pub mod task;
@@ -62,7 +62,9 @@ pub struct Supervisor<'a> {
     /// The processes; none once the run is given up.
     workers: Option<Workers>,
     worker: Arc<Worker>,
-    memory: SharedMemory,
+    record: Arc<Record>,
+    /// What workers share; none while they are lost, and this process ends their step.
+    storage: Option<Storage>,
     /// Whether the workers have been asked to stand still for a checkpoint.
     holds: bool,
     /// Whether they are to stop.
@@ -71,17 +73,7 @@ pub struct Supervisor<'a> {
     held: Option<Position>,
     replaced: u32,
     /// How far samples see each other in the polish, once that was needed.
-    sight: Option<Reach>,
-}
-
-/// What workers share.
-enum SharedMemory {
-    /// They are at work on it.
-    Shared(Storage),
-    /// They are lost, and this process ends their step.
-    Taken,
-    /// They are lost, and this process has made the tile.
-    Tile(Section, Recorded),
+    sight: OnceCell<Reach>,
 }
 
 impl<'a> Supervisor<'a> {
@@ -105,12 +97,13 @@ impl<'a> Supervisor<'a> {
             options,
             workers: Some(workers),
             worker,
-            memory: SharedMemory::Shared(storage),
+            record: Arc::clone(&storage.record),
+            storage: Some(storage),
             holds: false,
             stops: false,
             held: None,
             replaced: 0,
-            sight: None,
+            sight: OnceCell::new(),
         })
     }
 
@@ -118,26 +111,9 @@ impl<'a> Supervisor<'a> {
         self.worker.board()
     }
 
-    /// Puts another worker in the place of one that is lost.
-    fn replace(&mut self, loss: Loss, watch: &mut Watch<'_>) -> Result<(), Loss> {
-        self.board().release_worker(loss.worker);
-        if self.replaced == self.options.replacements {
-            return Err(loss);
-        }
-        self.replaced += 1;
-        watch.report(&format!("{loss}; another takes its place"));
-        let Some(workers) = &mut self.workers else { return Err(loss) };
-        let (worker, pid) = (loss.worker, loss.pid);
-        workers.replace(worker).map_err(|error| Loss {
-            worker,
-            pid,
-            cause: Cause::Failed(error.to_string()),
-        })
-    }
-
     /// Ends the step that lost workers were in, writes a checkpoint and says why. If all steps
     /// were over, makes the tile instead.
-    fn give_up(&mut self, loss: &Loss, watch: &mut Watch<'_>) -> Result<(), RunError> {
+    fn give_up(&mut self, cause: &Cause, watch: &mut Watch<'_>) -> Result<(), RunError> {
         // Those that are left are killed and reaped: only what the dead hold can be released.
         drop(self.workers.take());
         let worker = Arc::clone(&self.worker);
@@ -146,40 +122,37 @@ impl<'a> Supervisor<'a> {
             board.release_worker(index);
         }
         board.release(false);
-        let SharedMemory::Shared(storage) = mem::replace(&mut self.memory, SharedMemory::Taken)
-        else {
-            return Ok(());
-        };
-        let record = Arc::clone(&storage.record);
+        let storage = self.storage.take().expect("what workers share");
         let mut steps = Steps::new(self.plan, Arc::clone(&worker), storage, self.simd)?;
         while let Some(at) = steps.position() {
             // Steps that are over pass by, and after the last one a tile is soon made.
             let next = rounds::step(at.phase, at.step, rounds::Part::Gradient);
             if board.completed() < next && !self.plan.is_last(at) {
-                let kept = match (watch.save(at, record.read(), steps.state()), watch.kept()) {
+                let saved = watch.save(at, self.record.read(), steps.state());
+                let kept = match (saved, watch.kept()) {
                     (Err(error), _) => format!(", and no checkpoint was written: {error}"),
                     (Ok(()), Some(path)) => {
                         format!("; `perceptile resume {}` goes on", path.display())
                     }
                     (Ok(()), None) => String::new(),
                 };
-                let (lost, cause) = (self.replaced + 1, loss.cause.to_string());
+                let (lost, cause) = (self.replaced + 1, cause.to_string());
                 return Err(WorkersError::Lost { lost, cause, kept }.into());
             }
             steps.advance()?;
         }
-        self.memory = SharedMemory::Tile(steps.finish(), record.read());
+        self.storage = Some(steps.finish());
         Ok(())
     }
 }
 
 impl ArraySource for Supervisor<'_> {
     fn array(&self, index: usize, sink: &mut dyn NumberSink) -> io::Result<()> {
-        let (SharedMemory::Shared(storage), Some(at)) = (&self.memory, self.held) else {
+        let (Some(storage), Some(at)) = (&self.storage, self.held) else {
             panic!("a state of workers that do not stand still");
         };
         let reach = match at.phase {
-            Phase::Polish => self.sight.expect("the sight of a polish"),
+            Phase::Polish => *self.sight.get_or_init(|| self.plan.sight()),
             _ => self.plan.partition().reach(),
         };
         SharedSnapshot::new(storage, self.plan.options.shape, reach, at.step).array(index, sink)
@@ -187,6 +160,10 @@ impl ArraySource for Supervisor<'_> {
 }
 
 impl Backend for Supervisor<'_> {
+    fn shared(&self) -> (&Arc<Worker>, &Arc<Record>) {
+        (&self.worker, &self.record)
+    }
+
     fn position(&self) -> Option<Position> {
         let round = self.board().completed();
         if round >= self.plan.last_round() {
@@ -196,14 +173,6 @@ impl Backend for Supervisor<'_> {
         let Some((phase, step)) = rounds::position(round) else { return Some(from) };
         let step = if phase == from.phase { step.max(from.step) } else { step };
         Some(Position { phase, step: step.min(self.plan.steps_of(phase)) })
-    }
-
-    fn recorded(&self) -> Recorded {
-        match &self.memory {
-            SharedMemory::Shared(storage) => storage.record.read(),
-            SharedMemory::Tile(_, recorded) => recorded.clone(),
-            SharedMemory::Taken => Recorded::default(),
-        }
     }
 
     fn workers(&self) -> Option<(usize, usize)> {
@@ -222,9 +191,6 @@ impl Backend for Supervisor<'_> {
         }
         let (phase, step) =
             self.board().held().filter(|_| self.holds).and_then(rounds::position)?;
-        if phase == Phase::Polish && self.sight.is_none() {
-            self.sight = Some(self.plan.sight());
-        }
         self.held = Some(Position { phase, step });
         self.held
     }
@@ -240,33 +206,27 @@ impl Backend for Supervisor<'_> {
 
     fn advance(&mut self, watch: &mut Watch<'_>) -> Result<(), RunError> {
         std::thread::sleep(PAUSE);
-        let worker = Arc::clone(&self.worker);
-        let beat = |index| worker.board().counter(index, Counter::Beats).load(Ordering::Relaxed);
         let Some(workers) = &mut self.workers else { return Ok(()) };
-        for loss in workers.check(beat) {
-            if let Err(loss) = self.replace(loss, watch) {
-                return self.give_up(&loss, watch);
+        for loss in losses(workers, &self.worker) {
+            self.worker.board().release_worker(loss.worker);
+            if self.replaced == self.options.replacements {
+                return self.give_up(&loss.cause, watch);
+            }
+            self.replaced += 1;
+            watch.report(&format!("{loss}; another takes its place"));
+            if let Err(error) = workers.replace(loss.worker) {
+                return self.give_up(&Cause::Failed(error.to_string()), watch);
             }
         }
         Ok(())
     }
 
-    fn finish(self) -> Finished {
-        let Self { plan, workers, worker, memory, replaced, .. } = self;
-        if let Some(workers) = workers {
+    fn finish(self) -> (Storage, ParallelSummary) {
+        if let Some(workers) = self.workers {
             workers.finish(FAREWELL);
         }
-        let shape = plan.options.shape;
-        let (section, recorded) = match memory {
-            SharedMemory::Shared(storage) => {
-                let recorded = storage.record.read();
-                (storage.into_tile(plan.options.warp.all_frames(shape.dims())), recorded)
-            }
-            SharedMemory::Tile(section, recorded) => (section, recorded),
-            SharedMemory::Taken => unreachable!("a run that was given up has no end"),
-        };
-        let parallel = ParallelSummary::Workers(summary(&worker, replaced));
-        Finished { worker, regions: Regions::whole(shape), section, recorded, parallel }
+        let storage = self.storage.expect("a run that was given up has no end");
+        (storage, ParallelSummary::Workers(summary(&self.worker, self.replaced)))
     }
 }
 
@@ -285,14 +245,18 @@ pub fn run_task(
         launch::launch(plan, start, simd, options, Some(task), &mut |_| ())?;
     let lost = |cause| WorkersError::Lost { lost: 1, cause, kept: String::new() };
     while workers.pids().iter().any(Option::is_some) {
-        let beat = |index| worker.board().counter(index, Counter::Beats).load(Ordering::Relaxed);
-        if let Some(loss) = workers.check(beat).into_iter().next() {
+        if let Some(loss) = losses(&mut workers, &worker).into_iter().next() {
             return Err(lost(loss.cause.to_string()).into());
         }
         std::thread::sleep(PAUSE);
     }
     let reports = workers.finish(FAREWELL).into_iter().collect::<Option<Vec<Vec<u8>>>>();
     Ok(reports.ok_or_else(|| lost("did not report".into()))?)
+}
+
+/// Workers that are no more, dead or hung.
+fn losses(workers: &mut Workers, worker: &Worker) -> Vec<Loss> {
+    workers.check(|index| worker.board().counter(index, Counter::Beats).load(Ordering::Relaxed))
 }
 
 /// What the counters of a board say.
