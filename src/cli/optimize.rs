@@ -37,10 +37,6 @@ pub struct OptimizeArgs {
     #[command(flatten)]
     settings: Settings,
 
-    /// Settings from a TOML file with the names of the flags; flags win
-    #[arg(long, value_name = "FILE")]
-    config: Option<PathBuf>,
-
     /// Where the tile goes
     #[arg(long, value_name = "NPY", default_value = "tile.npy")]
     out: PathBuf,
@@ -75,10 +71,7 @@ pub fn run(args: &OptimizeArgs, communicator: &Arc<dyn Communicator>) -> Result<
 
 /// Gets the run ready, or says what it would do.
 fn prepare(args: &OptimizeArgs, ranks: usize) -> Result<Option<PreparedRun>, Failure> {
-    let settings = match &args.config {
-        Some(path) => args.settings.clone().or(Settings::read(path)?),
-        None => args.settings.clone(),
-    };
+    let settings = args.settings.clone().with_file()?;
     let (options, start) = settings.clone().options()?;
     let plan = Plan::new(&options, args.run.parallelism(ranks)?)?;
     if args.integrands > 0 {

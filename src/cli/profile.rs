@@ -46,10 +46,6 @@ pub struct ProfileArgs {
     #[command(flatten)]
     settings: Settings,
 
-    /// Settings from a TOML file with the names of the flags; flags win
-    #[arg(long, value_name = "FILE")]
-    config: Option<PathBuf>,
-
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -85,10 +81,7 @@ const MOST_EVENTS: usize = 120_000;
 /// # Errors
 /// Wrong settings, outputs that exist or cannot be written, too little memory.
 pub fn run(args: ProfileArgs) -> Result<(), Failure> {
-    let settings = match &args.config {
-        Some(path) => args.settings.or(Settings::read(path)?),
-        None => args.settings,
-    };
+    let settings = args.settings.with_file()?;
     let nothing_set = settings == Settings::default();
     let (mut options, _) = settings.options()?;
     options.validate()?;

@@ -1,10 +1,10 @@
 //! What users may set for a run, as flags or in a file: the same names, and the flags win.
 
-use std::fmt;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-use clap::{Args, ValueEnum};
+use clap::Args;
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use perceptile::kernel::KernelSpec;
 use perceptile::solver::{Options, Preset, Start};
 use perceptile::tile::{ShapeError, TileShape};
@@ -15,14 +15,7 @@ use super::exit::{Failure, Misuse};
 /// Width × height × frames of a tile, written `128x128x30`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
-pub struct TileSize {
-    /// Pixels across.
-    pub width: usize,
-    /// Pixels down.
-    pub height: usize,
-    /// Frames.
-    pub frames: usize,
-}
+pub struct TileSize(pub [usize; 3]);
 
 impl TileSize {
     /// The shape of a tile of this size.
@@ -30,7 +23,8 @@ impl TileSize {
     /// # Errors
     /// A size of 0, or too large.
     pub fn shape(self, spp: usize, dims: usize) -> Result<TileShape, ShapeError> {
-        TileShape::new(self.width, self.height, self.frames, spp, dims)
+        let Self([width, height, frames]) = self;
+        TileShape::new(width, height, frames, spp, dims)
     }
 }
 
@@ -39,10 +33,10 @@ impl FromStr for TileSize {
 
     fn from_str(text: &str) -> Result<Self, String> {
         let sizes: Option<Vec<usize>> = text.split('x').map(|part| part.parse().ok()).collect();
-        match sizes.as_deref() {
-            Some(&[width, height, frames]) => Ok(Self { width, height, frames }),
-            _ => Err(format!("`{text}` is not width x height x frames, such as 128x128x30")),
-        }
+        sizes
+            .and_then(|sizes| sizes.try_into().ok())
+            .map(Self)
+            .ok_or_else(|| format!("`{text}` is not width x height x frames, such as 128x128x30"))
     }
 }
 
@@ -55,157 +49,166 @@ impl TryFrom<String> for TileSize {
 }
 
 impl From<TileSize> for String {
-    fn from(size: TileSize) -> Self {
-        size.to_string()
+    fn from(TileSize([width, height, frames]): TileSize) -> Self {
+        format!("{width}x{height}x{frames}")
     }
 }
 
-impl fmt::Display for TileSize {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}x{}x{}", self.width, self.height, self.frames)
-    }
+/// Reads the name of a preset.
+fn presets() -> impl TypedValueParser<Value = Preset> {
+    let help = |preset| match preset {
+        Preset::Best => "The best 64x64x16 tile that a minute of two cores allows",
+        Preset::Quick => "The same tile in seconds",
+        Preset::Paper => "The paper's job: 128x128x30, 10000 steps of 4096 draws",
+        Preset::PaperTaa => "The paper's job for frames accumulated with alpha 0.2",
+        Preset::Salaun => "Spatial blue noise, every frame its own",
+    };
+    let names = Preset::ALL.map(|(preset, name)| PossibleValue::new(name).help(help(preset)));
+    let preset = |name: String| Preset::ALL.into_iter().find(|&(_, its)| its == name);
+    PossibleValuesParser::new(names).map(move |name| preset(name).expect("one of the names").0)
 }
 
-/// Names of the presets.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum PresetName {
-    /// The best 64x64x16 tile that a minute of two cores allows
-    Best,
-    /// The same tile in seconds
-    Quick,
-    /// The paper's job: 128x128x30, 10000 steps of 4096 draws
-    Paper,
-    /// The paper's job for frames accumulated with alpha 0.2
-    PaperTaa,
-    /// Spatial blue noise, every frame its own
-    Salaun,
-}
+/// Makes [`Settings`] of lines `name: type => option`: each is a flag and a name in a file, and sets
+/// that option, if it is one.
+macro_rules! settings {
+    ($($(#[$meta:meta])* $name:ident: $value:ty $(=> $($option:ident).+)?,)*) => {
+        /// Everything that a tile depends on; what is not set comes from the preset.
+        #[derive(Debug, Clone, Default, PartialEq, Args, Serialize, Deserialize)]
+        #[serde(rename_all = "kebab-case", deny_unknown_fields)]
+        pub struct Settings {
+            $($(#[$meta])* #[arg(long)] pub $name: Option<$value>,)*
 
-impl From<PresetName> for Preset {
-    fn from(name: PresetName) -> Self {
-        match name {
-            PresetName::Best => Self::Best,
-            PresetName::Quick => Self::Quick,
-            PresetName::Paper => Self::Paper,
-            PresetName::PaperTaa => Self::PaperTaa,
-            PresetName::Salaun => Self::Salaun,
+            /// Settings from a TOML file with the names of the flags; flags win
+            #[arg(long, value_name = "FILE")]
+            #[serde(skip)]
+            pub config: Option<PathBuf>,
         }
-    }
+
+        impl Settings {
+            /// These settings, and those of `other` where there are none.
+            fn or(self, other: Self) -> Self {
+                Self { $($name: self.$name.or(other.$name),)* config: None }
+            }
+
+            /// Puts what is set into the options.
+            fn set(self, options: &mut Options) {
+                $($(if let Some(value) = self.$name {
+                    options.$($option).+ = value.into();
+                })?)*
+            }
+        }
+    };
 }
 
-/// Everything that a tile depends on; what is not set comes from the preset.
-#[derive(Debug, Clone, Default, PartialEq, Args, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case", deny_unknown_fields)]
-pub struct Settings {
+settings! {
     /// Where all other settings come from [default: best]
-    #[arg(long)]
-    pub preset: Option<PresetName>,
+    #[arg(value_parser = presets())]
+    preset: Preset,
 
     /// Width x height x frames of the tile
-    #[arg(long, value_name = "WxHxF")]
-    pub tile: Option<TileSize>,
+    #[arg(value_name = "WxHxF")]
+    tile: TileSize,
 
     /// Samples per pixel, 1 to 64
-    #[arg(long)]
-    pub spp: Option<usize>,
+    spp: usize,
 
     /// Dimensions of a sample, 1 to 16
-    #[arg(long)]
-    pub dims: Option<usize>,
+    dims: usize,
 
     /// The filter through which error is seen; see `perceptile kernel --help`
-    #[arg(long, value_name = "SPEC")]
-    pub kernel: Option<KernelSpec>,
+    #[arg(value_name = "SPEC")]
+    kernel: KernelSpec => kernel,
 
     /// What all random numbers depend on
-    #[arg(long)]
-    pub seed: Option<u64>,
+    seed: u64 => seed,
 
     /// `random`, `stratified`, or a tile to start from
-    #[arg(long, value_name = "START")]
-    pub start: Option<String>,
+    #[arg(value_name = "START")]
+    start: String,
 
     /// Steps of stochastic gradient descent
-    #[arg(long)]
-    pub steps: Option<u32>,
+    steps: u32 => steps,
 
     /// Stop after so many steps of descent and polish together; schedules stay as they are
-    #[arg(long, value_name = "STEPS")]
-    pub stop_after: Option<u32>,
+    #[arg(value_name = "STEPS")]
+    stop_after: u32 => stop_after,
 
     /// Draws of a step: pixel, threshold and directions
-    #[arg(long)]
-    pub draws: Option<usize>,
+    draws: usize => draw.draws,
 
     /// Directions for each draw
-    #[arg(long)]
-    pub directions: Option<usize>,
+    directions: usize => draw.directions,
 
     /// Share of the threshold range that is drawn from; the paper draws from all of it, 1
-    #[arg(long, value_name = "SHARE")]
-    pub threshold_range: Option<f64>,
+    #[arg(value_name = "SHARE")]
+    threshold_range: f64 => draw.threshold_range,
 
     /// Share of directions along single axes
-    #[arg(long, value_name = "SHARE")]
-    pub axis_share: Option<f64>,
+    #[arg(value_name = "SHARE")]
+    axis_share: f64 => draw.axis_share,
 
     /// Share of directions in the planes of axis pairs, for more than two dimensions
-    #[arg(long, value_name = "SHARE")]
-    pub pair_share: Option<f64>,
+    #[arg(value_name = "SHARE")]
+    pair_share: f64 => draw.pair_share,
 
     /// Adam's step size at the start, in units of the cube
-    #[arg(long)]
-    pub rate: Option<f64>,
+    rate: f64 => adam.rate,
 
     /// Adam's step size at the end of its cosine
-    #[arg(long)]
-    pub final_rate: Option<f64>,
+    final_rate: f64 => adam.final_rate,
 
     /// Decay of Adam's first moment
-    #[arg(long)]
-    pub beta1: Option<f64>,
+    beta1: f64 => adam.beta1,
 
     /// Decay of Adam's second moment
-    #[arg(long)]
-    pub beta2: Option<f64>,
+    beta2: f64 => adam.beta2,
 
     /// Adam's epsilon
-    #[arg(long)]
-    pub epsilon: Option<f64>,
+    epsilon: f64 => adam.epsilon,
 
     /// Full-batch steps on the energy distance after the descent [default: the preset's for one
     /// sample per pixel in two dimensions, else 0]
-    #[arg(long, value_name = "STEPS")]
-    pub polish: Option<u32>,
+    #[arg(value_name = "STEPS")]
+    polish: u32 => polish.steps,
 
     /// Adam's step size at the start of the polish
-    #[arg(long, value_name = "RATE")]
-    pub polish_rate: Option<f64>,
+    #[arg(value_name = "RATE")]
+    polish_rate: f64 => polish.adam.rate,
 
     /// Weight of single coordinates' energy in the polish
-    #[arg(long, value_name = "WEIGHT")]
-    pub polish_axis_weight: Option<f64>,
+    #[arg(value_name = "WEIGHT")]
+    polish_axis_weight: f64 => polish.axis_weight,
 
     /// Weight of single coordinates' means in the polish
-    #[arg(long, value_name = "WEIGHT")]
-    pub polish_linear_weight: Option<f64>,
+    #[arg(value_name = "WEIGHT")]
+    polish_linear_weight: f64 => polish.linear_weight,
 
     /// Frames of the uniformity step that ends the run; 0 leaves it out
-    #[arg(long, value_name = "FRAMES")]
-    pub warp: Option<u32>,
+    #[arg(value_name = "FRAMES")]
+    warp: u32 => warp.frames,
 
     /// Share of the way that the uniformity step goes for each frame
-    #[arg(long, value_name = "SHARE")]
-    pub warp_rate: Option<f64>,
+    #[arg(value_name = "SHARE")]
+    warp_rate: f64 => warp.rate,
 }
 
 impl Settings {
+    /// These settings, and those of their file where there are none.
+    ///
+    /// # Errors
+    /// As for [`Self::read`].
+    pub fn with_file(mut self) -> Result<Self, Failure> {
+        match self.config.take() {
+            Some(path) => Ok(self.or(Self::read(&path)?)),
+            None => Ok(self),
+        }
+    }
+
     /// Reads settings from a TOML file.
     ///
     /// # Errors
     /// A file that cannot be read, is not TOML, or has a name or value that is no setting.
-    pub fn read(path: &Path) -> Result<Self, Failure> {
+    fn read(path: &Path) -> Result<Self, Failure> {
         const MAX_BYTES: u64 = 1 << 20;
         let unreadable = format!("cannot read {}", path.display());
         let metadata = std::fs::metadata(path).map_err(Failure::refused(&unreadable))?;
@@ -227,101 +230,31 @@ impl Settings {
         })
     }
 
-    /// These settings, and those of `other` where there are none.
-    pub fn or(self, other: Self) -> Self {
-        macro_rules! first {
-            ($($name:ident),*) => { Self { $($name: self.$name.or(other.$name)),* } };
-        }
-        first!(
-            preset,
-            tile,
-            spp,
-            dims,
-            kernel,
-            seed,
-            start,
-            steps,
-            stop_after,
-            draws,
-            directions,
-            threshold_range,
-            axis_share,
-            pair_share,
-            rate,
-            final_rate,
-            beta1,
-            beta2,
-            epsilon,
-            polish,
-            polish_rate,
-            polish_axis_weight,
-            polish_linear_weight,
-            warp,
-            warp_rate
-        )
-    }
-
     /// The options of the run, and the tile that it starts from, if it does.
     ///
     /// # Errors
     /// A size that no tile has.
-    pub fn options(self) -> Result<(Options, Option<PathBuf>), Failure> {
-        let mut options = Preset::from(self.preset.unwrap_or(PresetName::Best)).options();
+    pub fn options(self) -> Result<(Options, Option<PathBuf>), ShapeError> {
+        let mut options = self.preset.unwrap_or(Preset::Best).options();
         let shape = options.shape;
-        let size = self.tile.unwrap_or(TileSize {
-            width: shape.width(),
-            height: shape.height(),
-            frames: shape.frames(),
-        });
+        let preset_size = TileSize([shape.width(), shape.height(), shape.frames()]);
+        let size = self.tile.unwrap_or(preset_size);
         let (spp, dims) = (self.spp.unwrap_or(shape.spp()), self.dims.unwrap_or(shape.dims()));
-        options.shape = size.shape(spp, dims).map_err(|error| Misuse(error.to_string()))?;
+        options.shape = size.shape(spp, dims)?;
         if spp > 1 || dims != 2 {
             // The polish compares all pairs of samples and of dimensions: too slow to be a default.
             options.polish.steps = 0;
         }
-        macro_rules! set {
-            ($($field:expr => $setting:ident),* $(,)?) => {
-                $(if let Some(value) = self.$setting { $field = value; })*
-            };
-        }
-        set!(
-            options.kernel => kernel,
-            options.seed => seed,
-            options.steps => steps,
-            options.draw.draws => draws,
-            options.draw.directions => directions,
-            options.draw.threshold_range => threshold_range,
-            options.draw.axis_share => axis_share,
-            options.draw.pair_share => pair_share,
-            options.adam.rate => rate,
-            options.adam.final_rate => final_rate,
-            options.adam.beta1 => beta1,
-            options.adam.beta2 => beta2,
-            options.adam.epsilon => epsilon,
-            options.polish.steps => polish,
-            options.polish.adam.rate => polish_rate,
-            options.polish.axis_weight => polish_axis_weight,
-            options.polish.linear_weight => polish_linear_weight,
-            options.warp.frames => warp,
-            options.warp.rate => warp_rate,
-        );
-        options.stop_after = self.stop_after;
-        let start = match self.start.as_deref() {
-            None => None,
-            Some("random") => {
-                options.start = Start::Random;
-                None
-            }
-            Some("stratified") => {
-                options.start = Start::Stratified;
-                None
-            }
-            Some(path) => {
-                options.start = Start::Tile;
-                Some(PathBuf::from(path))
-            }
+        options.start = match self.start.as_deref() {
+            None => options.start,
+            Some("random") => Start::Random,
+            Some("stratified") => Start::Stratified,
+            Some(_) => Start::Tile,
         };
-        Ok((options, start))
+        let is_tile = options.start == Start::Tile;
+        let tile = self.start.as_ref().filter(|_| is_tile).map(PathBuf::from);
+        self.set(&mut options);
+        Ok((options, tile))
     }
 
     /// The flags that say the same.
@@ -363,8 +296,8 @@ mod tests {
         let small = Some(x);
         let count = Some(n);
         Settings {
-            preset: Some(PresetName::PaperTaa),
-            tile: Some(TileSize { width: 9, height: n as usize, frames: 4 }),
+            preset: Some(Preset::PaperTaa),
+            tile: Some(TileSize([9, n as usize, 4])),
             spp: Some(3),
             dims: Some(5),
             kernel: Some(
@@ -392,6 +325,7 @@ mod tests {
             polish_linear_weight: small,
             warp: count,
             warp_rate: small,
+            config: None,
         }
     }
 
@@ -410,8 +344,8 @@ mod tests {
 
         #[test]
         fn sizes_are_read_as_they_are_written(width: usize, height: usize, frames: usize) {
-            let size = TileSize { width, height, frames };
-            prop_assert_eq!(size.to_string().parse::<TileSize>(), Ok(size));
+            let size = TileSize([width, height, frames]);
+            prop_assert_eq!(String::from(size).parse(), Ok(size));
         }
 
         #[test]
