@@ -14,7 +14,7 @@ use serde::Serialize;
 use super::candidates::{self, Candidate, DEFAULT_KERNEL, progress};
 use super::exit::Failure;
 use super::source::SourceArgs;
-use super::stream::print;
+use super::stream::show;
 
 /// Score tiles: perceived error, uniformity, accumulation, quantization.
 ///
@@ -115,12 +115,7 @@ pub fn run(args: EvaluateArgs) -> Result<(), Failure> {
     // The tile to compare with is always put first.
     let against = tiles[0].name.clone();
     let report = Evaluation { kernel: args.kernel.to_string(), options, against, tiles };
-    let text = if args.json {
-        serde_json::to_string_pretty(&report)? + "\n"
-    } else {
-        table::table(&report)
-    };
-    Ok(print(&text)?)
+    show(args.json, &report, || table::table(&report))
 }
 
 /// The tiles to score; the one to compare with comes first.

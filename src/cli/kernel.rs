@@ -1,16 +1,15 @@
 //! `perceptile kernel`: what a kernel description means, in numbers and as a picture.
 
-use std::fmt::Write as _;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use perceptile::format::picture::Image;
 use perceptile::format::write::Existing;
-use perceptile::kernel::{Kernel, KernelClass, KernelSpec, ResolveProblem, Tap, picture};
+use perceptile::kernel::{Dropped, KernelClass, KernelSpec, ResolveProblem, Tap, picture};
 use serde::Serialize;
 
 use super::exit::Failure;
 use super::settings::TileSize;
-use super::stream::print;
+use super::stream::{print, show};
 
 /// Taps listed per class without `--all`.
 const LISTED: usize = 20;
@@ -68,15 +67,15 @@ pub fn run(args: KernelArgs) -> Result<(), Failure> {
             if needs_tile { failure.explained("give --tile WxHxF") } else { failure }
         })?,
     };
-    let text = if args.json {
-        let report = KernelReport { kernel: args.spec.to_string(), classes: describe(&kernel) };
-        serde_json::to_string_pretty(&report)? + "\n"
-    } else {
-        table(&kernel, if args.all { usize::MAX } else { LISTED })
-    };
-    print(&text)?;
+    let classes: Vec<ClassReport> = kernel.classes().iter().map(describe).collect();
+    let report = KernelReport { kernel: args.spec.to_string(), classes };
+    let listed = if args.all { usize::MAX } else { LISTED };
+    show(args.json, &report, || table(&report.classes, listed))?;
     if let Some(path) = args.out {
-        write_picture(&kernel, &path, Existing::from_force(args.force))?;
+        let picture = picture(&kernel);
+        let (width, height) = (picture.width(), picture.height());
+        let image = Image::new(width, height, 3, picture.into_rgb())?;
+        image.save(&path, Existing::from_force(args.force))?;
         if !args.json {
             print(&format!("\npicture: {}\n", path.display()))?;
         }
@@ -84,23 +83,16 @@ pub fn run(args: KernelArgs) -> Result<(), Failure> {
     Ok(())
 }
 
-fn write_picture(kernel: &Kernel, path: &Path, existing: Existing) -> Result<(), Failure> {
-    let picture = picture(kernel);
-    let (width, height) = (picture.width(), picture.height());
-    Image::new(width, height, 3, picture.into_rgb())?.save(path, existing)?;
-    Ok(())
-}
-
 /// The JSON form.
 #[derive(Serialize)]
-struct KernelReport {
+struct KernelReport<'a> {
     kernel: String,
-    classes: Vec<ClassReport>,
+    classes: Vec<ClassReport<'a>>,
 }
 
 #[derive(Serialize)]
-struct ClassReport {
-    kernel: String,
+struct ClassReport<'a> {
+    kernel: &'a str,
     weight: f64,
     /// Lowest and highest (dx, dy, dt), both included.
     low: [i32; 3],
@@ -112,98 +104,69 @@ struct ClassReport {
     sum_squares: f64,
     effective_taps: f64,
     mean_subset: f64,
-    dropped: DroppedReport,
+    dropped: Dropped,
     /// (dx, dy, dt, weight), largest magnitude first.
     taps: Vec<(i32, i32, i32, f64)>,
 }
 
-#[derive(Serialize)]
-struct DroppedReport {
-    total: f64,
-    space: Option<f64>,
-    time: Option<f64>,
-}
-
-fn describe(kernel: &Kernel) -> Vec<ClassReport> {
-    let class = |class: &KernelClass| {
-        let KernelClass { weight, taps, dropped, text } = class;
-        let (low, high) = taps.bounds();
-        ClassReport {
-            kernel: text.clone(),
-            weight: *weight,
-            low: low.to_array(),
-            high: high.to_array(),
-            size: taps.size(),
-            sum: taps.sum(),
-            sum_abs: taps.magnitude(),
-            sum_squares: taps.power(),
-            effective_taps: taps.effective_taps(),
-            mean_subset: taps.mean_subset(),
-            dropped: DroppedReport {
-                total: dropped.total,
-                space: dropped.space,
-                time: dropped.time,
-            },
-            taps: taps
-                .taps()
-                .iter()
-                .map(|&Tap { offset, weight }| (offset.x, offset.y, offset.z, weight))
-                .collect(),
-        }
-    };
-    kernel.classes().iter().map(class).collect()
+fn describe(class: &KernelClass) -> ClassReport<'_> {
+    let KernelClass { weight, taps, dropped, text } = class;
+    let (low, high) = taps.bounds();
+    let flat = |&Tap { offset, weight }: &Tap| (offset.x, offset.y, offset.z, weight);
+    ClassReport {
+        kernel: text,
+        weight: *weight,
+        low: low.to_array(),
+        high: high.to_array(),
+        size: taps.size(),
+        sum: taps.sum(),
+        sum_abs: taps.magnitude(),
+        sum_squares: taps.power(),
+        effective_taps: taps.effective_taps(),
+        mean_subset: taps.mean_subset(),
+        dropped: *dropped,
+        taps: taps.taps().iter().map(flat).collect(),
+    }
 }
 
 /// The form for people, with at most `listed` taps per class.
-fn table(kernel: &Kernel, listed: usize) -> String {
-    let mut text = String::new();
-    for (i, class) in describe(kernel).iter().enumerate() {
-        if i > 0 {
-            text.push('\n');
-        }
-        // Writing into a String cannot fail.
-        let _ = write_class(&mut text, class, listed, kernel.classes().len() > 1);
-    }
-    text
+fn table(classes: &[ClassReport<'_>], listed: usize) -> String {
+    let is_mixture = classes.len() > 1;
+    let tables = classes.iter().map(|class| class_table(class, listed, is_mixture));
+    tables.collect::<Vec<String>>().join("\n")
 }
 
-fn write_class(
-    out: &mut String,
-    class: &ClassReport,
-    listed: usize,
-    mixture: bool,
-) -> std::fmt::Result {
+fn class_table(class: &ClassReport<'_>, listed: usize, is_mixture: bool) -> String {
+    let mut text = String::new();
+    let mut line = |words: String| text += &(words + "\n");
     let percent = |share: f64| format!("{:.1} %", 100.0 * share);
     let [width, height, frames] = class.size;
     let ([left, top, past], [right, bottom, newest]) = (class.low, class.high);
-    let share =
-        if mixture { format!(", {} of draws", percent(class.weight)) } else { String::new() };
-    writeln!(out, "{}{share}", class.kernel)?;
-    writeln!(
-        out,
-        "  box              {width}x{height}x{frames}: dx {left}..{right}, dy {top}..{bottom}, dt {past}..{newest}"
-    )?;
-    writeln!(out, "  taps             {}", class.taps.len())?;
-    writeln!(out, "  effective taps   {:.1}  (1/Σg²)", class.effective_taps)?;
-    writeln!(out, "  mean subset      {:.1}  (taps above a random threshold)", class.mean_subset)?;
-    writeln!(out, "  Σg               {:.6}", class.sum)?;
-    writeln!(out, "  Σ|g|             {:.6}", class.sum_abs)?;
-    writeln!(out, "  Σg²              {:.6e}", class.sum_squares)?;
+    let share = format!(", {} of draws", percent(class.weight));
+    line(format!("{}{}", class.kernel, if is_mixture { &share } else { "" }));
+    let reach = format!("dx {left}..{right}, dy {top}..{bottom}, dt {past}..{newest}");
+    line(format!("  box              {width}x{height}x{frames}: {reach}"));
+    line(format!("  taps             {}", class.taps.len()));
+    line(format!("  effective taps   {:.1}  (1/Σg²)", class.effective_taps));
+    line(format!("  mean subset      {:.1}  (taps above a random threshold)", class.mean_subset));
+    line(format!("  Σg               {:.6}", class.sum));
+    line(format!("  Σ|g|             {:.6}", class.sum_abs));
+    line(format!("  Σg²              {:.6e}", class.sum_squares));
     let dropped = match (class.dropped.space, class.dropped.time) {
         (Some(space), Some(time)) => {
             format!("  (space {}, time {})", percent(space), percent(time))
         }
         _ => String::new(),
     };
-    writeln!(out, "  dropped of Σ|g|  {}{dropped}", percent(class.dropped.total))?;
-    writeln!(out, "     dx   dy   dt        weight   Σ|g| so far")?;
+    line(format!("  dropped of Σ|g|  {}{dropped}", percent(class.dropped.total)));
+    line("     dx   dy   dt        weight   Σ|g| so far".into());
     let mut mass = 0.0;
     for &(dx, dy, dt, weight) in class.taps.iter().take(listed) {
         mass += weight.abs();
-        writeln!(out, "  {dx:>5}{dy:>5}{dt:>5}  {weight:>12.9}   {:>11}", percent(mass))?;
+        line(format!("  {dx:>5}{dy:>5}{dt:>5}  {weight:>12.9}   {:>11}", percent(mass)));
     }
-    match class.taps.len().saturating_sub(listed) {
-        0 => Ok(()),
-        more => writeln!(out, "  and {more} more (--all)"),
+    if class.taps.len() > listed {
+        line(format!("  and {} more (--all)", class.taps.len() - listed));
     }
+    text
 }

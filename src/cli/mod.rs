@@ -97,7 +97,7 @@ fn run(command: Command, launcher: Option<Launcher>) -> Result<ExitCode, Failure
         Command::Evaluate(args) => evaluate::run(args).map(done),
         Command::Kernel(args) => kernel::run(args).map(done),
         Command::Export(args) => export::run(args).map(done),
-        Command::Profile(args) => profile::run(*args).map(done),
+        Command::Profile(args) => profile::run(&args).map(done),
         Command::Report(args) => report::run(args),
         Command::Worker => work().map(done),
     }

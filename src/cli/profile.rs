@@ -2,6 +2,7 @@
 
 mod scaling;
 
+use std::fmt::Display;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -22,12 +23,13 @@ use perceptile::run::backend::workers::WorkersOptions;
 use perceptile::run::memory;
 use perceptile::run::plan::Plan;
 use perceptile::solver::Start;
+use serde::Serialize;
 
 use super::execution::{self, ExecutionArgs};
 use super::exit::Failure;
 use super::settings::Settings;
-use super::stream::print;
-use scaling::{Manner, ScalingArgs};
+use super::stream;
+use scaling::ScalingArgs;
 
 /// Show where time and memory traffic of a run go
 ///
@@ -80,8 +82,8 @@ const MOST_EVENTS: usize = 120_000;
 ///
 /// # Errors
 /// Wrong settings, outputs that exist or cannot be written, too little memory.
-pub fn run(args: ProfileArgs) -> Result<(), Failure> {
-    let settings = args.settings.with_file()?;
+pub fn run(args: &ProfileArgs) -> Result<(), Failure> {
+    let settings = args.settings.clone().with_file()?;
     let nothing_set = settings == Settings::default();
     let (mut options, _) = settings.options()?;
     options.validate()?;
@@ -91,15 +93,7 @@ pub fn run(args: ProfileArgs) -> Result<(), Failure> {
     let threads = args.execution.threads()?;
     let existing = Existing::from_force(args.force);
     if args.scaling.scaling {
-        let manner = Manner {
-            simd: args.execution.simd(),
-            threads,
-            measure: args.measure,
-            json: args.json,
-            svg: args.svg.as_deref(),
-            existing,
-        };
-        return scaling::run(&args.scaling, (!nothing_set).then_some(options), &manner);
+        return scaling::run(args, (!nothing_set).then_some(options), threads);
     }
     let plan = Plan::new(&options, args.execution.parallelism()?)?;
     memory::check(&plan)?;
@@ -115,51 +109,50 @@ pub fn run(args: ProfileArgs) -> Result<(), Failure> {
     #[cfg_attr(not(unix), allow(unused_mut, reason = "workers add to it"))]
     let mut profile = pool
         .install(|| Profile::take(&subject, machine, rates, simd, args.measure, &mut counters))?;
+    let most_events = 2 * MOST_EVENTS as u64;
     #[cfg(unix)]
     if plan.parallelism.has_workers() {
-        let (options, step) = (workers_options(), profile.whole.seconds);
+        // Nothing is to go wrong with them.
+        let options = WorkersOptions {
+            arguments: vec![super::WORKER.into()],
+            pin: false,
+            silence: Duration::from_secs(10),
+            replacements: 0,
+            faults: None,
+            folder: std::env::temp_dir(),
+        };
+        let step = profile.whole.seconds;
         profile.workers = Some(WorkersProfile::take(&plan, simd, &options, step, args.measure)?);
-    }
-    if let Some(path) = &args.trace
-        && plan.parallelism.has_workers()
-    {
-        #[cfg(unix)]
-        {
-            let workers = workers::spans(&plan, simd, &workers_options(), MOST_EVENTS)?;
+        if let Some(path) = &args.trace {
+            let spans = workers::spans(&plan, simd, &options, MOST_EVENTS)?;
             write::write(path, existing, |out| {
-                spans::write_workers(out, threads, &workers, 2 * MOST_EVENTS as u64)
+                spans::write_workers(out, threads, &spans, most_events)
             })?;
         }
-    } else if let Some(path) = &args.trace {
+    }
+    if let Some(path) = &args.trace
+        && !plan.parallelism.has_workers()
+    {
         let (spans, steps) =
             pool.install(|| measure::spans(&subject, simd, &subject.start(), MOST_EVENTS))?;
         write::write(path, existing, |out| {
-            spans::write(out, threads, &spans, &steps, 2 * MOST_EVENTS as u64)
+            spans::write(out, threads, &spans, &steps, most_events)
         })?;
     }
-    if let Some(path) = &args.svg {
-        let picture = picture::svg(&profile);
-        write::write(path, existing, |out| out.write_all(picture.as_bytes()))?;
-    }
-    let text = if args.json {
-        serde_json::to_string_pretty(&profile)? + "\n"
-    } else {
-        profile.to_string()
-    };
-    Ok(print(&text)?)
+    show(args, &profile, picture::svg)
 }
 
-/// Workers that nothing is to go wrong with.
-#[cfg(unix)]
-fn workers_options() -> WorkersOptions {
-    WorkersOptions {
-        arguments: vec![super::WORKER.into()],
-        pin: false,
-        silence: Duration::from_secs(10),
-        replacements: 0,
-        faults: None,
-        folder: std::env::temp_dir(),
+/// Draws what came out, if a picture is wanted, and prints it.
+fn show<T: Serialize + Display>(
+    args: &ProfileArgs,
+    result: &T,
+    svg: impl FnOnce(&T) -> String,
+) -> Result<(), Failure> {
+    if let Some(path) = &args.svg {
+        let (picture, existing) = (svg(result), Existing::from_force(args.force));
+        write::write(path, existing, |out| out.write_all(picture.as_bytes()))?;
     }
+    stream::show(args.json, result, || result.to_string())
 }
 
 /// Reads the time of a measurement.

@@ -7,7 +7,10 @@
 use std::fmt::Display;
 use std::io::{self, Write};
 
+use serde::Serialize;
 use thiserror::Error;
+
+use super::exit::Failure;
 
 /// The standard output takes no more, and not because its reader has gone.
 #[derive(Debug, Error)]
@@ -24,6 +27,19 @@ pub fn print(text: &str) -> Result<(), OutputError> {
         Err(error) if error.kind() != io::ErrorKind::BrokenPipe => Err(OutputError(error)),
         _ => Ok(()),
     }
+}
+
+/// Writes a result to the standard output, as JSON or as `text` for people.
+///
+/// # Errors
+/// As for [`print`].
+pub fn show(
+    json: bool,
+    result: &impl Serialize,
+    text: impl FnOnce() -> String,
+) -> Result<(), Failure> {
+    let text = if json { serde_json::to_string_pretty(result)? + "\n" } else { text() };
+    Ok(print(&text)?)
 }
 
 /// Writes a message to the standard error, as one line; nobody can hear that this failed.

@@ -1,17 +1,13 @@
 //! `perceptile profile --scaling`: the cluster that steps are predicted for.
 
-use std::path::Path;
-use std::time::Duration;
-
 use clap::Args;
 use perceptile::format::write::{self, Existing};
-use perceptile::gradient::simd::Simd;
 use perceptile::profile::scaling::report::{self, Cluster, Scaling};
 use perceptile::profile::scaling::{Network, RankMemory, picture};
 use perceptile::solver::Options;
 
+use super::{ProfileArgs, show};
 use crate::cli::exit::Failure;
-use crate::cli::stream::print;
 
 /// A cluster that is not at hand.
 #[derive(Debug, Args)]
@@ -51,39 +47,23 @@ pub struct ScalingArgs {
     most_ranks: u32,
 }
 
-/// How things are measured and shown.
-pub struct Manner<'a> {
-    pub simd: Simd,
-    pub threads: usize,
-    pub measure: Duration,
-    pub json: bool,
-    pub svg: Option<&'a Path>,
-    pub existing: Existing,
-}
-
 /// Predicts steps of a run's tile, or of the usual ones.
 ///
 /// # Errors
 /// Runs that cannot be, outputs that cannot be written, too little memory.
-pub fn run(args: &ScalingArgs, own: Option<Options>, manner: &Manner<'_>) -> Result<(), Failure> {
-    let Manner { simd, threads, measure, json, svg, existing } = *manner;
-    write::probe(svg, existing)?;
+pub fn run(args: &ProfileArgs, own: Option<Options>, threads: usize) -> Result<(), Failure> {
+    write::probe(&args.svg, Existing::from_force(args.force))?;
+    let its = &args.scaling;
     let cluster = Cluster {
-        network: Network { latency: args.latency, bandwidth: args.bandwidth },
-        memory: RankMemory { cache: args.rank_cache, bandwidth: args.memory_bandwidth },
-        threads: args.rank_threads.into(),
-        ranks: args.most_ranks as usize,
-        cores: args.shared_cores.map(Into::into),
+        network: Network { latency: its.latency, bandwidth: its.bandwidth },
+        memory: RankMemory { cache: its.rank_cache, bandwidth: its.memory_bandwidth },
+        threads: its.rank_threads.into(),
+        ranks: its.most_ranks as usize,
+        cores: its.shared_cores.map(Into::into),
     };
     let tiles = own.map_or_else(report::tiles, |own| vec![own]);
-    let scaling = Scaling::take(&tiles, cluster, simd, threads, measure)?;
-    if let Some(path) = svg {
-        let picture = picture::svg(&scaling);
-        write::write(path, existing, |out| out.write_all(picture.as_bytes()))?;
-    }
-    let text =
-        if json { serde_json::to_string_pretty(&scaling)? + "\n" } else { scaling.to_string() };
-    Ok(print(&text)?)
+    let scaling = Scaling::take(&tiles, cluster, args.execution.simd(), threads, args.measure)?;
+    show(args, &scaling, picture::svg)
 }
 
 /// Units with what they are worth.
