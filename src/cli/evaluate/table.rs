@@ -1,13 +1,11 @@
 //! The scores as a table for people.
 
-use perceptile::metric::{Class, Domain, Ratio, ScoredTile, ShownScore};
+use perceptile::metric::{Class, Domain, Histogram, Ratio, ScoredTile, ShownScore};
 
 use super::Evaluation;
 
-/// Characters of a column of numbers.
-const COLUMN: usize = 16;
-/// Characters of the column of histograms.
-const HISTOGRAM: usize = 20;
+/// Characters of the columns: one for each class, then bias, histogram and residual.
+const WIDTHS: [usize; 8] = [16, 16, 16, 16, 16, 16, 20, 16];
 
 /// One block of the table: one score in one domain, a row per tile.
 struct TableSection {
@@ -43,100 +41,76 @@ pub(super) fn table(report: &Evaluation) -> String {
 impl TableSection {
     /// Heading and rows; nothing if no tile has such a score.
     fn lines(&self, report: &Evaluation) -> Vec<String> {
-        let rows: Vec<(&ScoredTile, Vec<Ratio>)> =
-            report.tiles.iter().filter_map(|entry| Some((entry, self.ratios(entry)?))).collect();
-        let Some(reference) = report.tiles.iter().find(|entry| entry.name == report.against) else {
-            return Vec::new();
-        };
+        let figures = |entry| Some((entry, self.figures(entry)?));
+        let rows: Vec<_> = report.tiles.iter().filter_map(figures).collect();
         if rows.is_empty() {
             return Vec::new();
         }
+        // The tile to compare with comes first, if not with this score.
+        let reference = &report.tiles[0];
+        let compared = self.figures(reference);
         let against = format!("÷ {}", reference.name);
-        let label = report
-            .tiles
-            .iter()
-            .map(|entry| &entry.name)
-            .chain([&against])
-            .map(|name| name.chars().count())
-            .max()
-            .unwrap_or(0)
-            + 2;
+        let names = report.tiles.iter().map(|entry| &entry.name).chain([&against]);
+        let label = names.map(|name| name.chars().count()).max().unwrap_or(0) + 2;
+        let row = |name: &str, cells: &mut dyn Iterator<Item = String>| {
+            let cells = cells.zip(WIDTHS).map(|(cell, width)| format!("{cell:>width$}"));
+            format!("{name:label$}") + &cells.collect::<String>()
+        };
         let pairs = if self.domain == Domain::Pairs { ", random pairs of dimensions" } else { "" };
         let mut lines = vec![String::new(), format!("{}{pairs}", self.part.title)];
-        let mut heading = " ".repeat(label);
-        heading.extend(Class::ALL.map(|class| format!("{class:>COLUMN$}")));
+        let mut heading = Class::ALL.map(|class| class.to_string()).to_vec();
         if self.uniformity {
-            heading += &format!("{:>COLUMN$}{:>HISTOGRAM$}", "bias·√N", "histogram (rms)");
-            heading += &format!("{:>COLUMN$}", "residual");
+            heading.extend(["bias·√N", "histogram (rms)", "residual"].map(String::from));
         }
-        lines.push(heading);
-        for (entry, ratios) in rows {
-            lines.push(self.row(entry, &ratios, label));
+        lines.push(row("", &mut heading.into_iter()));
+        for (entry, figures) in &rows {
+            lines.push(row(&entry.name, &mut figures.iter().map(|(text, _)| text.clone())));
             // Integrands of other dimensions are other integrands: no comparison.
-            if entry.name != reference.name && entry.shape.dims() == reference.shape.dims() {
-                lines.extend(self.comparison(entry, reference, &against, label));
+            if let Some(compared) = &compared
+                && entry.name != reference.name
+                && entry.shape.dims() == reference.shape.dims()
+            {
+                let pairs = figures.iter().zip(compared).enumerate();
+                let mut quotients = pairs.map(|(at, ((_, a), (_, b)))| quotient(at, a / b));
+                lines.push(row(&against, &mut quotients).trim_end().to_owned());
             }
         }
         lines
     }
 
-    /// The section's score of each class, if the tile has them.
-    fn ratios(&self, entry: &ScoredTile) -> Option<Vec<Ratio>> {
-        Class::ALL
-            .iter()
-            .map(|&class| (self.part.ratio)((self.part.scores)(entry).class(class, self.domain)?))
-            .collect()
-    }
-
-    fn row(&self, entry: &ScoredTile, ratios: &[Ratio], label: usize) -> String {
-        let mut row = format!("{:label$}", entry.name);
-        for Ratio { mean, standard_error } in ratios {
-            row += &format!("{:>COLUMN$}", format!("{mean:.4} ±{standard_error:.4}"));
-        }
-        if self.uniformity {
-            let scores = (self.part.scores)(entry);
-            let histogram = scores.histogram;
-            let cells = format!(
-                "{:.2}–{:.2} ({:.4})",
-                histogram.smallest, histogram.largest, histogram.rms
-            );
-            row += &format!("{:>COLUMN$.2}{cells:>HISTOGRAM$}", scores.bias);
-            row += &format!("{:>COLUMN$.2}", scores.residual);
-        }
-        row
-    }
-
-    /// The row below: the tile's scores divided by those of the tile to compare with.
-    fn comparison(
-        &self,
-        entry: &ScoredTile,
-        reference: &ScoredTile,
-        against: &str,
-        label: usize,
-    ) -> Option<String> {
-        let quotient = |ours: f64, theirs: f64| {
-            let quotient = ours / theirs;
-            let text = if quotient.is_finite() { format!("{quotient:.3}") } else { "–".into() };
-            // Below the numbers, not below their errors.
-            format!("{:<COLUMN$}", format!("{text:>7}"))
+    /// What the section shows of a tile, if it has such a score: each cell, and its number that is
+    /// compared.
+    fn figures(&self, entry: &ScoredTile) -> Option<Vec<(String, f64)>> {
+        let scores = (self.part.scores)(entry);
+        let of_class = |&class: &Class| {
+            let Ratio { mean, standard_error } =
+                (self.part.ratio)(scores.class(class, self.domain)?)?;
+            Some((format!("{mean:.4} ±{standard_error:.4}"), mean))
         };
-        let (ours, theirs) = (self.ratios(entry)?, self.ratios(reference)?);
-        let mut row = format!("{against:label$}");
-        row.extend(ours.iter().zip(&theirs).map(|(a, b)| quotient(a.mean, b.mean)));
+        let mut figures: Vec<_> = Class::ALL.iter().map(of_class).collect::<Option<_>>()?;
         if self.uniformity {
-            let (ours, theirs) = ((self.part.scores)(entry), (self.part.scores)(reference));
-            let plain = |ours: f64, theirs: f64| quotient(ours, theirs).trim().to_owned();
-            row += &format!("{:>COLUMN$}", plain(ours.bias, theirs.bias));
-            row += &format!("{:>HISTOGRAM$}", plain(ours.histogram.rms, theirs.histogram.rms));
-            row += &format!("{:>COLUMN$}", plain(ours.residual, theirs.residual));
+            let Histogram { smallest, largest, rms } = scores.histogram;
+            figures.push((format!("{:.2}", scores.bias), scores.bias));
+            figures.push((format!("{smallest:.2}–{largest:.2} ({rms:.4})"), rms));
+            figures.push((format!("{:.2}", scores.residual), scores.residual));
         }
-        Some(row.trim_end().to_owned())
+        Some(figures)
     }
+}
+
+/// A column's cell in the row below: the tile's number divided by that of the tile to compare with.
+fn quotient(column: usize, quotient: f64) -> String {
+    let text = if quotient.is_finite() { format!("{quotient:.3}") } else { "–".into() };
+    if column >= Class::ALL.len() {
+        return text;
+    }
+    // Below the numbers of the class, not below their errors.
+    format!("{:<1$}", format!("{text:>7}"), WIDTHS[column])
 }
 
 #[cfg(test)]
 mod tests {
-    use perceptile::metric::{ClassScore, Histogram, ScoreOptions, Scores};
+    use perceptile::metric::{ClassScore, ScoreOptions, Scores};
     use perceptile::tile::TileShape;
 
     use super::*;
