@@ -25,7 +25,7 @@ pub struct ExecutionArgs {
 
     /// Worker processes, at most 1024; 0 means threads in this process
     #[arg(long, default_value_t = 0)]
-    workers: usize,
+    pub workers: usize,
 
     /// Instruction set of the inner loops; of no influence on the tile
     #[arg(long, value_enum, default_value_t = SimdChoice::Auto)]
@@ -47,29 +47,15 @@ impl ExecutionArgs {
     /// # Errors
     /// If there are too many of them, or of all workers together.
     pub fn threads(&self) -> Result<usize, Misuse> {
-        if self.workers > MAX_WORKERS {
-            let asked = self.workers;
-            return Err(Misuse(format!("{asked} workers are too many: at most {MAX_WORKERS}")));
-        }
+        check(self.workers, "workers", MAX_WORKERS)?;
+        check(self.threads, "threads", MAX_THREADS)?;
         let workers = self.workers.max(1);
         let threads = match self.threads {
             0 => (std::thread::available_parallelism().map_or(1, usize::from) / workers).max(1),
-            1..=MAX_THREADS => self.threads,
-            asked => {
-                return Err(Misuse(format!("{asked} threads are too many: at most {MAX_THREADS}")));
-            }
+            asked => asked,
         };
-        match threads * workers {
-            ..=MAX_ALL_THREADS => Ok(threads),
-            all => Err(Misuse(format!(
-                "{all} threads of all workers are too many: at most {MAX_ALL_THREADS}"
-            ))),
-        }
-    }
-
-    /// Number of worker processes; 0 for none.
-    pub fn workers(&self) -> usize {
-        self.workers
+        check(threads * workers, "threads of all workers", MAX_ALL_THREADS)?;
+        Ok(threads)
     }
 
     /// So many workers and threads, in one process or beside it.
@@ -87,6 +73,20 @@ impl ExecutionArgs {
             SimdChoice::Plain => Simd::plain(),
         }
     }
+}
+
+/// Whether there are not too many of something.
+fn check(asked: usize, what: &str, most: usize) -> Result<(), Misuse> {
+    if asked <= most {
+        return Ok(());
+    }
+    Err(Misuse(format!("{asked} {what} are too many: at most {most}")))
+}
+
+/// Why there are no workers on some systems.
+#[cfg(not(unix))]
+pub fn no_workers() -> Misuse {
+    Misuse("there are no worker processes on this system".into())
 }
 
 /// Starts threads.

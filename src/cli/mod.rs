@@ -25,6 +25,8 @@ mod summary;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
+#[cfg(unix)]
+use perceptile::{profile::workers, run::backend::workers::task};
 use perceptile_cluster::launcher::Launcher;
 
 use exit::Failure;
@@ -84,35 +86,18 @@ fn run(command: Command, launcher: Option<Launcher>) -> Result<ExitCode, Failure
     }
     let done = |()| ExitCode::SUCCESS;
     match command {
-        Command::Optimize(args) => {
-            let communicator = ranks::join(launcher)?;
-            let result = optimize::run(&args, &communicator);
-            Ok(ranks::end(&*communicator, result))
-        }
-        Command::Resume(args) => {
-            let communicator = ranks::join(launcher)?;
-            let result = resume::run(&args, &communicator);
-            Ok(ranks::end(&*communicator, result))
-        }
+        Command::Optimize(args) => ranks::together(launcher, |ranks| optimize::run(&args, ranks)),
+        Command::Resume(args) => ranks::together(launcher, |ranks| resume::run(&args, ranks)),
         Command::Evaluate(args) => evaluate::run(args).map(done),
         Command::Kernel(args) => kernel::run(args).map(done),
         Command::Export(args) => export::run(args).map(done),
         Command::Profile(args) => profile::run(&args).map(done),
         Command::Report(args) => report::run(args),
-        Command::Worker => work().map(done),
+        #[cfg(unix)]
+        Command::Worker => Ok(task::serve(&workers::take_part).map(done)?),
+        #[cfg(not(unix))]
+        Command::Worker => Err(execution::no_workers().into()),
     }
-}
-
-/// Takes part in a run.
-#[cfg(unix)]
-fn work() -> Result<(), Failure> {
-    Ok(perceptile::run::backend::workers::task::serve(&perceptile::profile::workers::take_part)?)
-}
-
-/// There are no workers here.
-#[cfg(not(unix))]
-fn work() -> Result<(), Failure> {
-    Err(exit::Misuse("there are no worker processes on this system".into()).into())
 }
 
 /// Words as one line for a shell.

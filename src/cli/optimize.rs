@@ -100,7 +100,7 @@ fn prepare(args: &OptimizeArgs, ranks: usize) -> Result<Option<PreparedRun>, Fai
     let invocation = Invocation { settings, out, integrands: args.integrands };
     let kept = serde_json::to_string(&invocation)
         .map_err(Failure::refused("cannot write down the settings"))?;
-    let checkpointer = Checkpointer::new(&folder, args.run.checkpoint(), existing, kept)?;
+    let checkpointer = Checkpointer::new(&folder, args.run.checkpoint, existing, kept)?;
     let files = Files { invocation, outputs, existing, checkpointer, claims };
     Ok(Some(PreparedRun { plan, start, files: Some(files) }))
 }

@@ -10,21 +10,15 @@ use std::sync::Arc;
 use perceptile::run::plan::Plan;
 use perceptile::run::start::InitialState;
 use perceptile_cluster::codec;
-use perceptile_cluster::communicator::Communicator;
-#[cfg(not(feature = "mpi"))]
-use perceptile_cluster::communicator::Single;
+use perceptile_cluster::communicator::{Communicator, Single};
 use perceptile_cluster::launcher::Launcher;
-use serde::{Deserialize, Serialize};
 
 use super::exit::{Failure, Misuse};
 use super::prepared::PreparedRun;
 
-/// What the root sends to other ranks.
-#[derive(Debug, Serialize, Deserialize)]
-struct Brief {
-    plan: Plan,
-    from_checkpoint: bool,
-}
+/// What the root sends to other ranks: the plan, if there is one, and whether it goes on from a
+/// checkpoint; or the exit code.
+type Brief = Result<Option<(Plan, bool)>, u8>;
 
 /// Most memory that a brief may ask for: kernels of millions of taps are long.
 const BRIEF_LIMIT: usize = 1 << 30;
@@ -37,28 +31,35 @@ pub fn launcher() -> Option<Launcher> {
 /// The ranks that this process is one of; the only one, if no launcher started it as such.
 ///
 /// # Errors
-/// A program that was built with another MPI than its launcher's.
-#[cfg(feature = "mpi")]
-pub fn join(launcher: Option<Launcher>) -> Result<Arc<dyn Communicator>, Failure> {
-    use perceptile_cluster::communicator::Single;
-    use perceptile_cluster::mpi::Mpi;
+/// A launcher that started several, for a program without MPI or with another MPI than its own.
+fn join(launcher: Option<Launcher>) -> Result<Arc<dyn Communicator>, Misuse> {
+    #[cfg(feature = "mpi")]
+    if launcher.is_some() {
+        use perceptile_cluster::mpi::Mpi;
 
-    if launcher.is_none() {
-        return Ok(Arc::new(Single));
+        let mpi = Mpi::init().map_err(|error| Misuse(error.to_string()))?;
+        mpi.end_all_on_panic();
+        return Ok(Arc::new(mpi));
     }
-    let mpi = Mpi::init().map_err(|error| Misuse(error.to_string()))?;
-    mpi.end_all_on_panic();
-    Ok(Arc::new(mpi))
-}
-
-/// The only rank, as this program was built without MPI.
-///
-/// # Errors
-/// A launcher that started several.
-#[cfg(not(feature = "mpi"))]
-pub fn join(launcher: Option<Launcher>) -> Result<Arc<dyn Communicator>, Failure> {
+    #[cfg(not(feature = "mpi"))]
     check_alone(launcher, "this program was built without MPI: build it with `--features mpi`")?;
     Ok(Arc::new(Single))
+}
+
+/// Joins the ranks and ends together with them: what went wrong is said while all still wait for
+/// each other, as launchers end all of them as soon as one has failed.
+///
+/// # Errors
+/// Ranks that cannot be joined; what `work` reports is said already.
+pub fn together(
+    launcher: Option<Launcher>,
+    work: impl FnOnce(&Arc<dyn Communicator>) -> Result<ExitCode, Failure>,
+) -> Result<ExitCode, Failure> {
+    let communicator = join(launcher)?;
+    let code = work(&communicator).unwrap_or_else(Failure::report);
+    // What the root still does needs the others' cores, not their company.
+    communicator.rest();
+    Ok(code)
 }
 
 /// Refuses to be one of several.
@@ -91,11 +92,9 @@ pub fn share(
     let mut bytes = Vec::new();
     if communicator.rank() == 0 {
         let prepared = prepare();
-        let brief: Result<Option<Brief>, u8> = match &prepared {
-            Ok(job) => Ok(job.as_ref().map(|PreparedRun { plan, start, .. }| Brief {
-                plan: plan.clone(),
-                from_checkpoint: start.is_checkpoint(),
-            })),
+        let told = |job: &PreparedRun| (job.plan.clone(), job.start.is_checkpoint());
+        let brief: Brief = match &prepared {
+            Ok(job) => Ok(job.as_ref().map(told)),
             Err(failure) => Err(failure.code()),
         };
         bytes = codec::encode(&brief)
@@ -104,9 +103,9 @@ pub fn share(
         return prepared;
     }
     communicator.broadcast(&mut bytes);
-    let brief = codec::decode::<Result<Option<Brief>, u8>, BRIEF_LIMIT>(&bytes)
+    let brief = codec::decode::<Brief, BRIEF_LIMIT>(&bytes)
         .map_err(Failure::refused("cannot read the plan of the first rank"))?;
-    let Some(Brief { mut plan, from_checkpoint }) = brief.map_err(Failure::reported)? else {
+    let Some((mut plan, from_checkpoint)) = brief.map_err(Failure::reported)? else {
         return Ok(None);
     };
     plan.parallelism.threads = threads()?;
@@ -126,22 +125,11 @@ pub fn agree<T>(communicator: &dyn Communicator, result: Result<T, Failure>) -> 
     let mut all = [mine];
     communicator.max(&mut all);
     match result {
-        Err(failure) if all == [mine] => Err(named(failure, rank)),
+        Err(failure) if all == [mine] && rank > 0 => {
+            Err(failure.explained(format_args!("rank {rank}")))
+        }
+        Err(failure) if all == [mine] => Err(failure),
         Ok(value) if all == [0] => Ok(value),
         _ => Err(Failure::reported((all[0] % 256) as u8)),
     }
-}
-
-/// Ends together: what went wrong is said while all ranks still wait for each other, as launchers
-/// end all of them as soon as one has failed.
-pub fn end(communicator: &dyn Communicator, result: Result<ExitCode, Failure>) -> ExitCode {
-    let code = result.unwrap_or_else(Failure::report);
-    // What the root still does needs the others' cores, not their company.
-    communicator.rest();
-    code
-}
-
-/// A failure that says on which rank it happened, unless that is the first.
-fn named(failure: Failure, rank: usize) -> Failure {
-    if rank > 0 { failure.explained(format_args!("rank {rank}")) } else { failure }
 }

@@ -55,7 +55,7 @@ pub fn run(args: &ResumeArgs, communicator: &Arc<dyn Communicator>) -> Result<Ex
 fn prepare(args: &ResumeArgs, ranks: usize) -> Result<Option<PreparedRun>, Failure> {
     let parallelism = args.run.parallelism(ranks)?;
     let (checkpointer, resumed) =
-        Checkpointer::resume(&args.folder, args.run.checkpoint(), parallelism)?;
+        Checkpointer::resume(&args.folder, args.run.checkpoint, parallelism)?;
     let Resumed { plan, start, invocation, damaged } = resumed;
     for checkpoint in damaged {
         say(format_args!("a checkpoint is damaged, and an earlier one is used: {checkpoint}"));

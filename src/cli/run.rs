@@ -45,7 +45,7 @@ pub struct RunArgs {
 
     /// Write a checkpoint every so often, such as 60s, 10m or 500steps
     #[arg(long, value_name = "EVERY", default_value = "60s", value_parser = duration::parse_every)]
-    checkpoint: Every,
+    pub checkpoint: Every,
 
     /// Bind each worker to cores of its own, in one NUMA node, with its memory there
     #[arg(long)]
@@ -70,22 +70,18 @@ impl RunArgs {
     /// # Errors
     /// If that would be too many, and flags that do not go together.
     pub fn parallelism(&self, ranks: usize) -> Result<Parallelism, Misuse> {
-        let workers = self.execution.workers();
+        let workers = self.execution.workers;
         if workers == 0 && (self.pin || self.faults.is_some()) {
             return Err(Misuse("--pin is for worker processes: see --workers".into()));
         }
         if workers > 0 && ranks > 1 {
             return Err(Misuse("ranks have threads and no workers: leave out --workers".into()));
         }
-        if cfg!(not(unix)) && workers > 0 {
-            return Err(Misuse("there are no worker processes on this system".into()));
+        #[cfg(not(unix))]
+        if workers > 0 {
+            return Err(execution::no_workers());
         }
         Ok(Parallelism { ranks, ..self.execution.parallelism()? })
-    }
-
-    /// How often a checkpoint is written.
-    pub fn checkpoint(&self) -> Every {
-        self.checkpoint
     }
 
     /// Does the run that the root prepares, if it does, together with all ranks.
