@@ -78,16 +78,17 @@ impl Candidate {
     ) -> Result<(ScoredTile, KernelTaps), Failure> {
         let Self { name, path, tile } = self;
         let shape = tile.shape();
-        let context = |failure: Failure| {
-            failure.explained(format_args!("cannot score {name}, a tile of {shape}"))
+        progress.set_message(name.clone());
+        let score = || -> Result<_, Failure> {
+            let taps = kernel.resolve(shape)?.classes()[0].taps.clone();
+            let (name, path) = (name.clone(), path.clone());
+            let scored = || progress.inc(1);
+            let entry = ScoredTile::of(name, path, tile, &taps, options, with_spectra, scored)?;
+            Ok((entry, taps))
         };
-        let kernel = kernel.resolve(shape).map_err(|error| context(error.into()))?;
-        let taps = kernel.classes()[0].taps.clone();
-        let (name, path) = (name.clone(), path.clone());
-        let entry =
-            ScoredTile::of(name, path, tile, &taps, options, with_spectra, || progress.inc(1))
-                .map_err(|error| context(error.into()))?;
-        Ok((entry, taps))
+        score().map_err(|failure| {
+            failure.explained(format_args!("cannot score {name}, a tile of {shape}"))
+        })
     }
 }
 

@@ -103,7 +103,6 @@ pub fn run(args: EvaluateArgs) -> Result<(), Failure> {
     let progress = progress(candidates.len());
     let mut tiles = Vec::new();
     for candidate in candidates {
-        progress.set_message(candidate.name.clone());
         let (entry, _) =
             candidate.score(&args.kernel, options, args.spectra.is_some(), &progress)?;
         if let Some(folder) = &args.spectra {

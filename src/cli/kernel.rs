@@ -152,13 +152,11 @@ fn class_table(class: &ClassReport<'_>, listed: usize, is_mixture: bool) -> Stri
     line(format!("  Σg               {:.6}", class.sum));
     line(format!("  Σ|g|             {:.6}", class.sum_abs));
     line(format!("  Σg²              {:.6e}", class.sum_squares));
-    let dropped = match (class.dropped.space, class.dropped.time) {
-        (Some(space), Some(time)) => {
-            format!("  (space {}, time {})", percent(space), percent(time))
-        }
-        _ => String::new(),
-    };
-    line(format!("  dropped of Σ|g|  {}{dropped}", percent(class.dropped.total)));
+    let Dropped { total, space, time } = class.dropped;
+    let of_box = space
+        .zip(time)
+        .map(|(space, time)| format!("  (space {}, time {})", percent(space), percent(time)));
+    line(format!("  dropped of Σ|g|  {}{}", percent(total), of_box.unwrap_or_default()));
     line("     dx   dy   dt        weight   Σ|g| so far".into());
     let mut mass = 0.0;
     for &(dx, dy, dt, weight) in class.taps.iter().take(listed) {

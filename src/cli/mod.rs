@@ -64,18 +64,15 @@ const WORKER: &str = "worker";
 
 /// Runs the command that the process was started with.
 pub fn main() -> ExitCode {
-    let launcher = ranks::launcher();
+    let launcher = Launcher::detect(|name| std::env::var(name).ok());
     // Ranks with the same arguments fail the same before they can talk. The first one says so; the
     // others leave without a failure, as launchers end all ranks at the first one.
     let is_first = launcher.is_none_or(|launcher| launcher.rank == 0);
-    match Arguments::try_parse() {
-        Ok(Arguments { command }) => match run(command, launcher) {
-            Ok(code) => code,
-            Err(failure) if is_first => failure.report(),
-            Err(_) => ExitCode::SUCCESS,
-        },
+    match Arguments::try_parse().map(|arguments| run(arguments.command, launcher)) {
+        Ok(Ok(code)) => code,
+        Ok(Err(failure)) if is_first => failure.report(),
         Err(error) if is_first => error.exit(),
-        Err(_) => ExitCode::SUCCESS,
+        _ => ExitCode::SUCCESS,
     }
 }
 

@@ -19,7 +19,7 @@ use perceptile::tile::Region;
 use perceptile_cluster::communicator::Communicator;
 
 use super::exit::Failure;
-use super::prepared::{Files, Invocation, PreparedRun};
+use super::prepared::{self, Files, Invocation, PreparedRun};
 use super::run::{RunArgs, check_folder};
 use super::settings::Settings;
 use super::stream::print;
@@ -78,10 +78,7 @@ fn prepare(args: &OptimizeArgs, ranks: usize) -> Result<Option<PreparedRun>, Fai
         let score_options = ScoreOptions { integrands: args.integrands, ..Default::default() };
         score_options.validate()?;
     }
-    if ranks == 1 {
-        memory::check(&plan)?;
-    }
-    plan.check_batch()?;
+    prepared::check(&plan)?;
     let start = start.map(|path| TileSource::new(path).read()).transpose()?;
     let start = InitialState::new(&plan, start.as_ref())?;
     let existing = Existing::from_force(args.force);
@@ -118,25 +115,17 @@ fn describe(plan: &Plan) -> String {
     ));
     line(format!("memory      {} MB", memory::foreseen(plan) >> 20));
     if plan.parallelism.has_workers() {
-        line(format!(
-            "  shared    {} MB",
-            plan.storage(Region::whole(options.shape)).bytes() >> 20
-        ));
+        let shared = plan.storage(Region::whole(options.shape)).bytes();
+        line(format!("  shared    {} MB", shared >> 20));
     }
     if plan.parallelism.ranks > 1 {
-        let reach = plan.partition().reach();
         let regions = plan.regions(0);
-        let traffic = HaloTraffic::of(&regions, reach);
-        let place = regions.own().place();
-        line(format!(
-            "ranks       {} with regions such as {}x{}",
-            plan.parallelism.ranks, place.width, place.height
-        ));
-        line(format!(
-            "halo        {:.1} KB in {} messages from the first rank in each step",
-            traffic.bytes as f64 * 1e-3,
-            traffic.messages
-        ));
+        let (ranks, place) = (plan.parallelism.ranks, regions.own().place());
+        let region = format!("{}x{}", place.width, place.height);
+        line(format!("ranks       {ranks} with regions such as {region}"));
+        let HaloTraffic { bytes, messages } = HaloTraffic::of(&regions, plan.partition().reach());
+        let sent = format!("{:.1} KB in {messages} messages", bytes as f64 * 1e-3);
+        line(format!("halo        {sent} from the first rank in each step"));
     }
     line(format!("tile file   {:.1} MB", (options.shape.coordinates() * 4) as f64 / 1e6));
     text

@@ -5,11 +5,13 @@ use std::path::PathBuf;
 use perceptile::format::claim::Claim;
 use perceptile::format::write::Existing;
 use perceptile::run::checkpointer::Checkpointer;
+use perceptile::run::memory;
 use perceptile::run::output::OutputFiles;
 use perceptile::run::plan::Plan;
 use perceptile::run::start::InitialState;
 use serde::{Deserialize, Serialize};
 
+use super::exit::Failure;
 use super::settings::Settings;
 
 /// What a run was asked for, as its checkpoints keep it.
@@ -21,6 +23,18 @@ pub struct Invocation {
     pub out: PathBuf,
     /// Integrands of each class that it is scored on.
     pub integrands: usize,
+}
+
+/// Checks that a run fits into the memory here, and that its steps are not too coarse.
+///
+/// # Errors
+/// If it does not, or they are.
+pub fn check(plan: &Plan) -> Result<(), Failure> {
+    // Each of several ranks looks at its memory itself.
+    if plan.parallelism.ranks == 1 {
+        memory::check(plan)?;
+    }
+    Ok(plan.check_batch()?)
 }
 
 /// A run that is ready to start.

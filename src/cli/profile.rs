@@ -20,13 +20,13 @@ use perceptile::profile::subject::Subject;
 use perceptile::profile::workers::{self, WorkersProfile};
 #[cfg(unix)]
 use perceptile::run::backend::workers::WorkersOptions;
-use perceptile::run::memory;
 use perceptile::run::plan::Plan;
 use perceptile::solver::Start;
 use serde::Serialize;
 
 use super::execution::{self, ExecutionArgs};
 use super::exit::Failure;
+use super::prepared;
 use super::settings::Settings;
 use super::stream;
 use scaling::ScalingArgs;
@@ -96,8 +96,7 @@ pub fn run(args: &ProfileArgs) -> Result<(), Failure> {
         return scaling::run(args, (!nothing_set).then_some(options), threads);
     }
     let plan = Plan::new(&options, args.execution.parallelism()?)?;
-    memory::check(&plan)?;
-    plan.check_batch()?;
+    prepared::check(&plan)?;
     let subject = Subject::new(&options, &plan.kernel, threads)?;
     write::probe(args.trace.iter().chain(&args.svg), existing)?;
     let simd = args.execution.simd();

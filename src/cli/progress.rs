@@ -1,6 +1,6 @@
 //! What people see of a run while it goes on, and how they end it.
 
-use std::io::{self, IsTerminal};
+use std::io;
 use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressStyle};
@@ -91,11 +91,8 @@ impl Observer for Terminal {
     }
 }
 
-/// A bar on the standard error; hidden if that is no terminal.
+/// A bar on the standard error; without a terminal there, nothing.
 fn progress_bar() -> ProgressBar {
-    if !io::stderr().is_terminal() {
-        return ProgressBar::hidden();
-    }
     let template = "{prefix:8} {bar:32} {pos}/{len} steps, {per_sec}, ETA {eta}  {msg}";
     ProgressBar::no_length()
         .with_style(ProgressStyle::with_template(template).expect("a valid template"))

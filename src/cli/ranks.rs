@@ -23,11 +23,6 @@ type Brief = Result<Option<(Plan, bool)>, u8>;
 /// Most memory that a brief may ask for: kernels of millions of taps are long.
 const BRIEF_LIMIT: usize = 1 << 30;
 
-/// The launcher of this process, if it has one.
-pub fn launcher() -> Option<Launcher> {
-    Launcher::detect(|name| std::env::var(name).ok())
-}
-
 /// The ranks that this process is one of; the only one, if no launcher started it as such.
 ///
 /// # Errors

@@ -99,7 +99,6 @@ pub fn run(args: ReportArgs) -> Result<ExitCode, Failure> {
     let candidates = candidates::read(tiles, &source, &[Baseline::White])?;
     let progress = progress(candidates.len());
     for candidate in candidates {
-        progress.set_message(candidate.name.clone());
         let (entry, taps) = candidate.score(&kernel, scores, true, &progress)?;
         report.add(entry, &candidate.tile, &taps)?;
         if let Some(code) = signals.received() {

@@ -8,13 +8,12 @@ use clap::Args;
 use perceptile::format::sidecar::{self, Sidecar};
 use perceptile::format::write::Existing;
 use perceptile::run::checkpointer::{Checkpointer, Resumed};
-use perceptile::run::memory;
 use perceptile::run::output::OutputFiles;
 use perceptile::run::plan::Plan;
 use perceptile_cluster::communicator::Communicator;
 
 use super::exit::Failure;
-use super::prepared::{Files, Invocation, PreparedRun};
+use super::prepared::{self, Files, Invocation, PreparedRun};
 use super::run::{RunArgs, check_folder};
 use super::stream::say;
 
@@ -65,10 +64,7 @@ fn prepare(args: &ResumeArgs, ranks: usize) -> Result<Option<PreparedRun>, Failu
     if let Some(out) = &args.out {
         invocation.out.clone_from(out);
     }
-    if ranks == 1 {
-        memory::check(&plan)?;
-    }
-    plan.check_batch()?;
+    prepared::check(&plan)?;
     let existing = Existing::from_force(args.force || is_so_far(&invocation.out, &plan));
     let outputs = OutputFiles::of(&invocation.out);
     check_folder(&outputs, &args.folder)?;

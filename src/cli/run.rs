@@ -18,7 +18,7 @@ use perceptile::run::observer::Observer;
 use perceptile::run::output::OutputFiles;
 use perceptile::run::plan::Plan;
 use perceptile::run::summary::ParallelSummary;
-use perceptile::solver::{Parallelism, StopReason, Summary};
+use perceptile::solver::{Parallelism, StopReason};
 use perceptile::tile::Tile;
 use perceptile_cluster::communicator::Communicator;
 use perceptile_cluster::faults::FaultPlan;
@@ -28,7 +28,6 @@ use super::execution::{self, ExecutionArgs};
 use super::exit::{Failure, Misuse};
 use super::prepared::{Files, Invocation, PreparedRun};
 use super::progress::Terminal;
-use super::settings::Settings;
 use super::stream::print;
 use super::{duration, ranks, summary};
 
@@ -100,12 +99,12 @@ impl RunArgs {
         let Some(PreparedRun { plan, start, mut files }) = job else {
             return Ok(ExitCode::SUCCESS);
         };
-        let pool = ranks::agree(&**communicator, self.check_in(&plan, files.as_ref()))?;
+        let pool = ranks::agree(&**communicator, check_in(&plan, files.as_ref()))?;
         let started = Instant::now();
         terminal.limit(self.time);
         let parallel = self.parallel(&plan, communicator, files.as_ref());
-        let (simd, checkpointer) =
-            (self.execution.simd(), files.as_mut().map(|files| &mut files.checkpointer));
+        let simd = self.execution.simd();
+        let checkpointer = files.as_mut().map(|files| &mut files.checkpointer);
         // Workers end with the thread that starts them, which is one of the pool's.
         let output = pool
             .install(|| driver::run(&plan, start, simd, parallel, &mut terminal, checkpointer))?;
@@ -115,14 +114,6 @@ impl RunArgs {
             return Ok(ExitCode::SUCCESS);
         };
         finish(&output, &plan, files, &mut terminal, &pool, started)
-    }
-
-    /// What a run needs of this process: memory, and threads.
-    fn check_in(&self, plan: &Plan, files: Option<&Files>) -> Result<ThreadPool, Failure> {
-        if plan.parallelism.ranks > 1 {
-            memory::check_rank(plan, files.is_some_and(|files| files.invocation.integrands > 0))?;
-        }
-        Ok(execution::pool(plan.parallelism.threads)?)
     }
 
     /// Who does the steps.
@@ -151,6 +142,14 @@ impl RunArgs {
             Parallel::Threads
         }
     }
+}
+
+/// What a run needs of this process: memory, and threads.
+fn check_in(plan: &Plan, files: Option<&Files>) -> Result<ThreadPool, Failure> {
+    if plan.parallelism.ranks > 1 {
+        memory::check_rank(plan, files.is_some_and(|files| files.invocation.integrands > 0))?;
+    }
+    Ok(execution::pool(plan.parallelism.threads)?)
 }
 
 /// Checks that the run's folder is none of the files that it leaves.
@@ -194,18 +193,16 @@ fn finish(
     let whole = tile.as_ref().map_or(output as &dyn ArraySource, |tile| tile);
     let written = outputs.write(plan.options.shape, whole, existing, provenance);
     output.discard();
-    if let Err(error) = written {
-        let failure = Failure::from(error);
-        if !checkpointer.has_saved() {
-            return Err(failure);
-        }
-        let path = checkpointer.path().display();
-        return Err(failure.hinted(format_args!("; `perceptile resume {path}` goes on")));
-    }
+    let path = checkpointer.path().display();
+    let resume = checkpointer.has_saved().then(|| format!("perceptile resume {path}"));
+    written.map_err(|error| match &resume {
+        Some(resume) => Failure::from(error).hinted(format_args!("; `{resume}` goes on")),
+        None => error.into(),
+    })?;
     let mut text = summary::describe(output, scores.as_ref(), &outputs, seconds);
     let stopped = matches!(summary.reason, StopReason::Interrupted | StopReason::Time);
-    if stopped && checkpointer.has_saved() {
-        text += &format!("to go on    perceptile resume {}\n", checkpointer.path().display());
+    if let Some(resume) = resume.filter(|_| stopped) {
+        text += &format!("to go on    {resume}\n");
     } else if let Err(error) = checkpointer.remove() {
         terminal.report(&format!("the run's folder is left: {error}"));
     }
@@ -228,6 +225,12 @@ fn provenance(
     sha256: String,
 ) -> Sidecar {
     let (options, summary) = (&plan.options, &output.summary);
+    // The command that makes the same tile again.
+    let mut settings = invocation.settings.clone();
+    if summary.reason != StopReason::Completed {
+        settings.stop_after = Some(summary.steps);
+    }
+    let words = ["perceptile".into(), "optimize".into()].into_iter();
     let mut recorded = serde_json::json!({ "options": options, "summary": summary });
     match &output.parallel {
         ParallelSummary::Threads => (),
@@ -238,7 +241,7 @@ fn provenance(
         format: sidecar::FORMAT,
         program: env!("CARGO_PKG_NAME").into(),
         version: env!("CARGO_PKG_VERSION").into(),
-        command: command(&invocation.settings, summary),
+        command: super::line(words.chain(settings.command_line())),
         kernel: options.kernel.to_string(),
         seed: options.seed,
         shape: options.shape,
@@ -249,14 +252,4 @@ fn provenance(
         scores: serde_json::json!(scores),
         convergence: summary.convergence.clone(),
     }
-}
-
-/// The command that makes the same tile again.
-fn command(settings: &Settings, summary: &Summary) -> String {
-    let mut settings = settings.clone();
-    if summary.reason != StopReason::Completed {
-        settings.stop_after = Some(summary.steps);
-    }
-    let words = ["perceptile".into(), "optimize".into()].into_iter();
-    super::line(words.chain(settings.command_line()))
 }

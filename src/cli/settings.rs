@@ -210,7 +210,8 @@ impl Settings {
     /// A file that cannot be read, is not TOML, or has a name or value that is no setting.
     fn read(path: &Path) -> Result<Self, Failure> {
         const MAX_BYTES: u64 = 1 << 20;
-        let unreadable = format!("cannot read {}", path.display());
+        let shown = path.display();
+        let unreadable = format!("cannot read {shown}");
         let metadata = std::fs::metadata(path).map_err(Failure::refused(&unreadable))?;
         if !metadata.is_file() {
             // A pipe or a device may never end.
@@ -218,16 +219,13 @@ impl Settings {
         }
         let size = metadata.len();
         if size > MAX_BYTES {
-            let message = format!(
-                "{} has {size} bytes, but settings have at most {MAX_BYTES}",
-                path.display()
-            );
-            return Err(Misuse(message).into());
+            let rule = format!("settings have at most {MAX_BYTES}");
+            return Err(Misuse(format!("{shown} has {size} bytes, but {rule}")).into());
         }
         let text = std::fs::read_to_string(path).map_err(Failure::refused(&unreadable))?;
-        toml::from_str(&text).map_err(|error| {
-            Misuse(format!("{}: {error}", path.display()).trim_end().into()).into()
-        })
+        let refused =
+            |error: toml::de::Error| Misuse(format!("{shown}: {error}").trim_end().into());
+        Ok(toml::from_str(&text).map_err(refused)?)
     }
 
     /// The options of the run, and the tile that it starts from, if it does.
@@ -245,14 +243,13 @@ impl Settings {
             // The polish compares all pairs of samples and of dimensions: too slow to be a default.
             options.polish.steps = 0;
         }
-        options.start = match self.start.as_deref() {
-            None => options.start,
-            Some("random") => Start::Random,
-            Some("stratified") => Start::Stratified,
-            Some(_) => Start::Tile,
+        let (start, tile) = match self.start.as_deref() {
+            None => (options.start, None),
+            Some("random") => (Start::Random, None),
+            Some("stratified") => (Start::Stratified, None),
+            Some(path) => (Start::Tile, Some(PathBuf::from(path))),
         };
-        let is_tile = options.start == Start::Tile;
-        let tile = self.start.as_ref().filter(|_| is_tile).map(PathBuf::from);
+        options.start = start;
         self.set(&mut options);
         Ok((options, tile))
     }
