@@ -3,6 +3,7 @@
 //! Everything that is printed is printed here; the library never sees a flag.
 
 mod candidates;
+mod config;
 mod duration;
 mod evaluate;
 mod execution;
@@ -21,15 +22,19 @@ mod settings;
 mod source;
 mod stream;
 mod summary;
+mod viewing;
 
+use std::ffi::OsString;
 use std::process::ExitCode;
 
-use clap::{Parser, Subcommand};
+use clap::{ArgMatches, CommandFactory, FromArgMatches, Parser, Subcommand};
 #[cfg(unix)]
 use perceptile::{profile::workers, run::backend::workers::task};
 use perceptile_cluster::launcher::Launcher;
 
+use config::MatchError;
 use exit::Failure;
+use stream::print;
 
 /// Precompute spatio-temporal sample tiles for Monte Carlo animation rendering.
 ///
@@ -68,16 +73,31 @@ pub fn main() -> ExitCode {
     // Ranks with the same arguments fail the same before they can talk. The first one says so; the
     // others leave without a failure, as launchers end all ranks at the first one.
     let is_first = launcher.is_none_or(|launcher| launcher.rank == 0);
-    match Arguments::try_parse().map(|arguments| run(arguments.command, launcher)) {
+    let typed: Vec<OsString> = std::env::args_os().collect();
+    let parsed = config::matches(&Arguments::command(), &typed)
+        .and_then(|matches| Ok((Arguments::from_arg_matches(&matches)?.command, matches)));
+    match parsed.map(|(command, matches)| run(command, &matches, launcher)) {
         Ok(Ok(code)) => code,
-        Ok(Err(failure)) if is_first => failure.report(),
-        Err(error) if is_first => error.exit(),
+        Ok(Err(failure)) | Err(MatchError::File(failure)) if is_first => failure.report(),
+        Err(MatchError::Clap(error)) if is_first => error.exit(),
         _ => ExitCode::SUCCESS,
     }
 }
 
 /// Runs a command, as one of the ranks of a launcher if there is one.
-fn run(command: Command, launcher: Option<Launcher>) -> Result<ExitCode, Failure> {
+fn run(
+    command: Command,
+    matches: &ArgMatches,
+    launcher: Option<Launcher>,
+) -> Result<ExitCode, Failure> {
+    if let (Command::Optimize(args), Some((name, matches))) = (&command, matches.subcommand())
+        && args.print_config
+    {
+        let program = Arguments::command();
+        let optimize = program.find_subcommand(name).expect("the command that was matched");
+        print(&config::file(optimize, matches, args.effective()?))?;
+        return Ok(ExitCode::SUCCESS);
+    }
     if !matches!(command, Command::Optimize(_) | Command::Resume(_) | Command::Worker) {
         ranks::check_alone(launcher, "only `optimize` and `resume` are for several")?;
     }

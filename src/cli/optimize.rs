@@ -59,6 +59,20 @@ pub struct OptimizeArgs {
     /// Say what the run would do and need, and stop
     #[arg(long)]
     dry_run: bool,
+
+    /// Print all flags with their values as a file for --config, and stop
+    #[arg(long)]
+    pub print_config: bool,
+}
+
+impl OptimizeArgs {
+    /// All settings, by name.
+    ///
+    /// # Errors
+    /// Settings that no run can have.
+    pub fn effective(&self) -> Result<serde_json::Map<String, serde_json::Value>, Failure> {
+        Ok(self.settings.effective(&self.settings.options()?.0))
+    }
 }
 
 /// Makes the tile.
@@ -71,8 +85,8 @@ pub fn run(args: &OptimizeArgs, communicator: &Arc<dyn Communicator>) -> Result<
 
 /// Gets the run ready, or says what it would do.
 fn prepare(args: &OptimizeArgs, ranks: usize) -> Result<Option<PreparedRun>, Failure> {
-    let settings = args.settings.clone().with_file()?;
-    let (options, start) = settings.clone().options()?;
+    let settings = args.settings.clone();
+    let (options, start) = settings.options()?;
     let plan = Plan::new(&options, args.run.parallelism(ranks)?)?;
     if args.integrands > 0 {
         let score_options = ScoreOptions { integrands: args.integrands, ..Default::default() };

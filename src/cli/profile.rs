@@ -83,7 +83,7 @@ const MOST_EVENTS: usize = 120_000;
 /// # Errors
 /// Wrong settings, outputs that exist or cannot be written, too little memory.
 pub fn run(args: &ProfileArgs) -> Result<(), Failure> {
-    let settings = args.settings.clone().with_file()?;
+    let settings = args.settings.clone();
     let nothing_set = settings == Settings::default();
     let (mut options, _) = settings.options()?;
     options.validate()?;

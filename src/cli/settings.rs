@@ -1,6 +1,6 @@
 //! What users may set for a run, as flags or in a file: the same names, and the flags win.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::str::FromStr;
 
 use clap::Args;
@@ -11,6 +11,7 @@ use perceptile::tile::{ShapeError, TileShape};
 use serde::{Deserialize, Serialize};
 
 use super::exit::{Failure, Misuse};
+use super::viewing::ViewingArgs;
 
 /// Width × height × frames of a tile, written `128x128x30`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -74,27 +75,36 @@ macro_rules! settings {
     ($($(#[$meta:meta])* $name:ident: $value:ty $(=> $($option:ident).+)?,)*) => {
         /// Everything that a tile depends on; what is not set comes from the preset.
         #[derive(Debug, Clone, Default, PartialEq, Args, Serialize, Deserialize)]
-        #[serde(rename_all = "kebab-case", deny_unknown_fields)]
+        #[serde(rename_all = "kebab-case")]
         pub struct Settings {
             $($(#[$meta])* #[arg(long)] pub $name: Option<$value>,)*
 
-            /// Settings from a TOML file with the names of the flags; flags win
+            #[command(flatten)]
+            #[serde(flatten)]
+            pub viewing: ViewingArgs,
+
+            /// Flags from a TOML file, under their names; what is typed here wins
             #[arg(long, value_name = "FILE")]
             #[serde(skip)]
             pub config: Option<PathBuf>,
         }
 
         impl Settings {
-            /// These settings, and those of `other` where there are none.
-            fn or(self, other: Self) -> Self {
-                Self { $($name: self.$name.or(other.$name),)* config: None }
-            }
-
             /// Puts what is set into the options.
-            fn set(self, options: &mut Options) {
-                $($(if let Some(value) = self.$name {
+            fn set(&self, options: &mut Options) {
+                $($(if let Some(value) = self.$name.clone() {
                     options.$($option).+ = value.into();
                 })?)*
+            }
+
+            /// What the options have of all that can be set, by name.
+            fn of(options: &Options) -> serde_json::Map<String, serde_json::Value> {
+                let mut all = serde_json::Map::new();
+                $($(
+                    let name = stringify!($name).replace('_', "-");
+                    all.insert(name, serde_json::json!(options.$($option).+));
+                )?)*
+                all
             }
         }
     };
@@ -193,55 +203,32 @@ settings! {
 }
 
 impl Settings {
-    /// These settings, and those of their file where there are none.
-    ///
-    /// # Errors
-    /// As for [`Self::read`].
-    pub fn with_file(mut self) -> Result<Self, Failure> {
-        match self.config.take() {
-            Some(path) => Ok(self.or(Self::read(&path)?)),
-            None => Ok(self),
-        }
-    }
-
-    /// Reads settings from a TOML file.
-    ///
-    /// # Errors
-    /// A file that cannot be read, is not TOML, or has a name or value that is no setting.
-    fn read(path: &Path) -> Result<Self, Failure> {
-        const MAX_BYTES: u64 = 1 << 20;
-        let shown = path.display();
-        let unreadable = format!("cannot read {shown}");
-        let metadata = std::fs::metadata(path).map_err(Failure::refused(&unreadable))?;
-        if !metadata.is_file() {
-            // A pipe or a device may never end.
-            return Err(Failure::refused(&unreadable)("it is not a file"));
-        }
-        let size = metadata.len();
-        if size > MAX_BYTES {
-            let rule = format!("settings have at most {MAX_BYTES}");
-            return Err(Misuse(format!("{shown} has {size} bytes, but {rule}")).into());
-        }
-        let text = std::fs::read_to_string(path).map_err(Failure::refused(&unreadable))?;
-        let refused =
-            |error: toml::de::Error| Misuse(format!("{shown}: {error}").trim_end().into());
-        Ok(toml::from_str(&text).map_err(refused)?)
-    }
-
     /// The options of the run, and the tile that it starts from, if it does.
     ///
     /// # Errors
-    /// A size that no tile has.
-    pub fn options(self) -> Result<(Options, Option<PathBuf>), ShapeError> {
+    /// A size that no tile has, and flags that say one thing twice.
+    pub fn options(&self) -> Result<(Options, Option<PathBuf>), Failure> {
         let mut options = self.preset.unwrap_or(Preset::Best).options();
         let shape = options.shape;
         let preset_size = TileSize([shape.width(), shape.height(), shape.frames()]);
         let size = self.tile.unwrap_or(preset_size);
         let (spp, dims) = (self.spp.unwrap_or(shape.spp()), self.dims.unwrap_or(shape.dims()));
         options.shape = size.shape(spp, dims)?;
+        if let Some(steps) = self.steps.filter(|&steps| steps < options.steps) {
+            // Whoever asks for less work does not mean the polish to take longer than all of it.
+            let polish = u64::from(options.polish.steps) * u64::from(steps);
+            options.polish.steps = (polish / u64::from(options.steps)) as u32;
+        }
         if spp > 1 || dims != 2 {
             // The polish compares all pairs of samples and of dimensions: too slow to be a default.
             options.polish.steps = 0;
+        }
+        if self.viewing.is_given() {
+            if self.kernel.is_some() {
+                let rule = "leave out --fps, --taa, --sigma and --pixels-per-degree";
+                return Err(Misuse(format!("--kernel says all of the kernel: {rule}")).into());
+            }
+            options.kernel = self.viewing.kernel(options.shape)?;
         }
         let (start, tile) = match self.start.as_deref() {
             None => (options.start, None),
@@ -252,6 +239,25 @@ impl Settings {
         options.start = start;
         self.set(&mut options);
         Ok((options, tile))
+    }
+
+    /// All settings, those that are not set with what takes their place.
+    pub fn effective(&self, options: &Options) -> serde_json::Map<String, serde_json::Value> {
+        let (shape, preset) = (options.shape, self.preset.unwrap_or(Preset::Best));
+        let start = match options.start {
+            Start::Random => "random".into(),
+            Start::Stratified => "stratified".into(),
+            Start::Tile => self.start.clone().unwrap_or_default(),
+        };
+        let mut all = Self::of(options);
+        all.retain(|_, value| !value.is_null());
+        let size = String::from(TileSize([shape.width(), shape.height(), shape.frames()]));
+        all.insert("preset".into(), serde_json::json!(preset));
+        all.insert("tile".into(), size.into());
+        all.insert("spp".into(), shape.spp().into());
+        all.insert("dims".into(), shape.dims().into());
+        all.insert("start".into(), start.into());
+        all
     }
 
     /// The flags that say the same.
@@ -322,21 +328,18 @@ mod tests {
             polish_linear_weight: small,
             warp: count,
             warp_rate: small,
+            viewing: ViewingArgs::default(),
             config: None,
         }
     }
 
     proptest! {
         #[test]
-        fn the_command_line_and_a_file_say_the_same(x in 0.0..1.0_f64, tiny in 0_i32..300, n: u32) {
+        fn a_command_line_says_the_settings(x in 0.0..1.0_f64, tiny in 0_i32..300, n: u32) {
             let settings = full(x * 10.0_f64.powi(-tiny), n);
             // Every setting is there; a new one that is left out here fails to compile above.
             prop_assert!(settings.command_line().len() > 40);
             prop_assert_eq!(&parse(&settings.command_line()), &settings);
-            // TOML has no integers above 2⁶³.
-            let settings = Settings { seed: Some(n.into()), ..settings };
-            let text = toml::to_string(&settings).unwrap();
-            prop_assert_eq!(&toml::from_str::<Settings>(&text).unwrap(), &settings);
         }
 
         #[test]
@@ -349,15 +352,6 @@ mod tests {
         fn no_text_makes_a_size_panic(text: String) {
             let _ = text.parse::<TileSize>();
         }
-    }
-
-    #[test]
-    fn flags_win_over_a_file_one_by_one() {
-        let flags = Settings { seed: Some(1), steps: Some(2), ..Settings::default() };
-        let file = full(0.5, 7);
-        let both = flags.or(file.clone());
-        assert_eq!(both, Settings { seed: Some(1), steps: Some(2), ..file });
-        assert!(Settings::default().command_line().is_empty());
     }
 
     #[test]
