@@ -21,12 +21,8 @@ pub const CONFIG: &str = "config";
 const MAX_BYTES: u64 = 1 << 20;
 /// Flags that say the same in different ways: one that is typed takes the place of the others of its
 /// line in a file.
-const ALTERNATIVES: [&[&str]; 4] = [
-    &["kernel", "fps"],
-    &["kernel", "taa"],
-    &["kernel", "sigma", "pixels-per-degree"],
-    &["quiet", "progress"],
-];
+const ALTERNATIVES: [&[&str]; 3] =
+    [&["kernel", "fps"], &["kernel", "taa"], &["kernel", "sigma", "pixels-per-degree"]];
 /// Flags that show something and make nothing: not for `--print-config`.
 const SHOWING: [&str; 5] = [CONFIG, "print-config", "dry-run", "help", "json"];
 

@@ -51,9 +51,41 @@ pub fn parse_silence(text: &str) -> Result<Duration, String> {
     if range.contains(&time) { Ok(time) } else { Err(format!("{text} is not from 0.2s to 1h")) }
 }
 
+/// Seconds as people say them: `34 s`, `9 min 23 s`, `2 h 5 min`, `3 d 4 h`.
+pub fn in_words(seconds: f64) -> String {
+    let all = seconds.max(0.0).round() as u64;
+    let two = |unit: u64, large: &str, small: &str, of: u64| {
+        let rest = all % unit / of;
+        let rest = if rest > 0 { format!(" {rest} {small}") } else { String::new() };
+        format!("{} {large}{rest}", all / unit)
+    };
+    match all {
+        0..10 => format!("{seconds:.1} s"),
+        10..60 => format!("{all} s"),
+        60..3600 => two(60, "min", "s", 1),
+        3600..86_400 => two(3600, "h", "min", 60),
+        _ => two(86_400, "d", "h", 3600),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn times_are_said_in_two_units_at_most() {
+        for (seconds, words) in [
+            (0.04, "0.0 s"),
+            (2.34, "2.3 s"),
+            (34.4, "34 s"),
+            (59.7, "1 min"),
+            (563.0, "9 min 23 s"),
+            (7500.0, "2 h 5 min"),
+            (273_600.0, "3 d 4 h"),
+        ] {
+            assert_eq!(in_words(seconds), words);
+        }
+    }
 
     #[test]
     fn all_flags_read_the_same_times() {

@@ -20,15 +20,16 @@ const MAX_ALL_THREADS: usize = 1 << 14;
 pub struct ExecutionArgs {
     /// Threads of each worker or, without workers, of this process or rank, at most 1024; 0 shares out
     /// the cores
-    #[arg(long, default_value_t = 0)]
+    #[arg(help_heading = "Running", long, default_value_t = 0)]
     threads: usize,
 
-    /// Worker processes, at most 1024; 0 means threads in this process
-    #[arg(long, default_value_t = 0)]
+    /// Worker processes, at most 1024; 0 means threads in this process. They are of use on NUMA
+    /// machines, and for runs that must survive
+    #[arg(help_heading = "Running", long, default_value_t = 0)]
     pub workers: usize,
 
     /// Instruction set of the inner loops; of no influence on the tile
-    #[arg(long, value_enum, default_value_t = SimdChoice::Auto)]
+    #[arg(help_heading = "Running", long, value_enum, default_value_t = SimdChoice::Auto)]
     simd: SimdChoice,
 }
 
@@ -37,7 +38,7 @@ pub struct ExecutionArgs {
 enum SimdChoice {
     /// The best that the machine has
     Auto,
-    /// None
+    /// Portable code: the same bytes, slower
     Plain,
 }
 

@@ -1,21 +1,75 @@
-//! What people see of a run while it goes on, and how they end it.
+//! What people and programs see of a run while it goes on, and how they end it.
 
-use std::io;
+use std::io::{self, IsTerminal};
 use std::time::{Duration, Instant};
 
+use clap::ValueEnum;
 use indicatif::{ProgressBar, ProgressStyle};
+use perceptile::run::forecast::Forecast;
 use perceptile::run::observer::{Observer, Progress};
 use perceptile::run::signals::Signals;
 use perceptile::solver::{Phase, StopReason};
+use serde::Serialize;
 
+use super::duration::in_words;
 use super::stream::say;
+
+/// Lines for people come no closer than this, unless a tenth of the run is done.
+const SELDOM: Duration = Duration::from_secs(30);
+/// Lines come no closer than this.
+const OFTEN: Duration = Duration::from_secs(1);
+
+/// How progress is shown on the standard error.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Shown {
+    /// A bar on a terminal, lines elsewhere
+    Auto,
+    /// A bar
+    Bar,
+    /// A line every 30 seconds, or whenever a tenth of the run is done
+    Lines,
+    /// A line of JSON each second: phase, done, of, rate (steps per second), eta (seconds), objective
+    Json,
+    /// Nothing
+    None,
+}
 
 /// Shows progress on the standard error, and stops the run for signals and the clock.
 pub struct Terminal {
-    bar: ProgressBar,
+    display: Display,
     signals: Signals,
     deadline: Option<Instant>,
+    forecast: Option<Forecast>,
     phase: Phase,
+    /// When the phase was first heard of, and its steps that were done then.
+    since: (Instant, u32),
+}
+
+#[derive(Clone)]
+enum Display {
+    Bar(ProgressBar),
+    Lines {
+        last: Instant,
+        /// Share of the run that the last line told of.
+        share: f64,
+    },
+    Json {
+        last: Option<Instant>,
+    },
+    Nothing,
+}
+
+/// A line for programs.
+#[derive(Debug, Serialize)]
+struct Line {
+    phase: Phase,
+    done: u32,
+    of: u32,
+    /// Steps per second.
+    rate: f64,
+    /// Seconds until the run is over, as far as is known.
+    eta: Option<f64>,
+    objective: Option<f64>,
 }
 
 impl Terminal {
@@ -23,20 +77,27 @@ impl Terminal {
     ///
     /// # Errors
     /// What the system reports.
-    pub fn open(is_first: bool) -> io::Result<Self> {
-        let bar = if is_first { progress_bar() } else { ProgressBar::hidden() };
-        let shown = bar.clone();
+    pub fn open(shown: Shown, is_first: bool) -> io::Result<Self> {
+        let now = Instant::now();
+        let display = match shown {
+            _ if !is_first => Display::Nothing,
+            Shown::Auto if io::stderr().is_terminal() => Display::Bar(progress_bar()),
+            Shown::Bar => Display::Bar(progress_bar()),
+            Shown::Auto | Shown::Lines => Display::Lines { last: now, share: 0.0 },
+            Shown::Json => Display::Json { last: None },
+            Shown::None => Display::Nothing,
+        };
+        let shown = display.clone();
         let signals = Signals::install(move |_| {
             if is_first {
-                shown.suspend(|| {
-                    say(
-                        "stopping: the tile so far is made uniform and written; once more ends the \
-                         run at once, without it",
-                    );
-                });
+                shown.report(
+                    "stopping: the tile so far is made uniform and written; once more ends the run \
+                     at once, without it",
+                );
             }
         })?;
-        Ok(Self { bar, signals, deadline: None, phase: Phase::Start })
+        let (deadline, forecast, phase) = (None, None, Phase::Start);
+        Ok(Self { display, signals, deadline, forecast, phase, since: (now, 0) })
     }
 
     /// Stops the run when this time has passed from now on.
@@ -44,40 +105,113 @@ impl Terminal {
         self.deadline = time.and_then(|time| Instant::now().checked_add(time));
     }
 
+    /// Whether anybody sees how the run goes on.
+    pub fn is_watched(&self) -> bool {
+        !matches!(self.display, Display::Nothing)
+    }
+
+    /// Says what is about to begin, to people.
+    pub fn begin(&mut self, words: &str, forecast: Option<Forecast>) {
+        if matches!(self.display, Display::Bar(_) | Display::Lines { .. }) {
+            say(words);
+        }
+        self.forecast = forecast;
+    }
+
     /// Takes the bar away.
     pub fn clear(&self) {
-        self.bar.finish_and_clear();
+        if let Display::Bar(bar) = &self.display {
+            bar.finish_and_clear();
+        }
     }
 
     /// The exit code for the signal that has arrived, if one has.
     pub fn received(&self) -> Option<i32> {
         self.signals.received()
     }
+
+    /// Steps per second of this phase, and how many seconds the run will go on, if that was foreseen.
+    fn rate(&self, progress: &Progress) -> (f64, Option<f64>) {
+        let (since, first) = self.since;
+        let steps = f64::from(progress.done.saturating_sub(first));
+        let rate = steps / since.elapsed().as_secs_f64().max(1e-9);
+        let left = f64::from(progress.of.saturating_sub(progress.done)) / rate;
+        let after = self.forecast.as_ref().map(|forecast| forecast.after(progress.phase));
+        (rate, after.map(|after| left + after).filter(|eta| eta.is_finite()))
+    }
+}
+
+impl Display {
+    /// Something out of the ordinary, in words.
+    fn report(&self, message: &str) {
+        match self {
+            Self::Bar(bar) => bar.suspend(|| say(message)),
+            Self::Json { .. } => say(serde_json::json!({ "message": message })),
+            Self::Lines { .. } | Self::Nothing => say(message),
+        }
+    }
 }
 
 impl Observer for Terminal {
     fn progress(&mut self, progress: Progress) {
-        if progress.phase != self.phase {
-            self.phase = progress.phase;
-            self.bar.reset();
-            self.bar.set_length(progress.of.into());
-            self.bar.set_prefix(progress.phase.name());
+        let begins = progress.phase != self.phase;
+        if begins {
+            (self.phase, self.since) = (progress.phase, (Instant::now(), progress.done));
         }
-        let mut words = Vec::new();
-        if let Some(objective) = progress.objective {
-            words.push(format!("objective {objective:.6}"));
+        let (rate, eta) = self.rate(&progress);
+        let Progress { phase, done, of, objective, workers } = progress;
+        match &mut self.display {
+            Display::Nothing => (),
+            Display::Bar(bar) => {
+                if begins {
+                    bar.reset();
+                    bar.set_length(of.into());
+                    bar.set_prefix(phase.name());
+                }
+                let mut words = Vec::new();
+                words.extend((!begins).then(|| format!("{rate:.0}/s")));
+                words.extend(eta.map(|eta| format!("{} left", in_words(eta))));
+                words.extend(objective.map(|objective| format!("loss {objective:.6}")));
+                words.extend(workers.map(|(workers, lost)| match lost {
+                    0 => format!("{workers} workers"),
+                    lost => format!("{workers} workers, {lost} replaced"),
+                }));
+                bar.set_message(words.join(", "));
+                bar.set_position(done.into());
+            }
+            Display::Lines { last, share } => {
+                let done_of = f64::from(done) / f64::from(of.max(1));
+                let now = match &self.forecast {
+                    Some(forecast) => 1.0 - eta.unwrap_or(0.0) / forecast.total().max(1e-9),
+                    None => done_of,
+                };
+                if begins && self.forecast.is_none() {
+                    *share = 0.0;
+                }
+                let passed = last.elapsed();
+                if begins || passed < OFTEN || (passed < SELDOM && now < *share + 0.1) {
+                    return;
+                }
+                (*last, *share) = (Instant::now(), now);
+                let left = eta.map(|eta| format!(", {} left", in_words(eta))).unwrap_or_default();
+                let percent = 100.0 * done_of;
+                say(format_args!("{}: {done} of {of} steps ({percent:.0} %){left}", phase.name()));
+            }
+            Display::Json { last } => {
+                if begins || last.is_some_and(|last| last.elapsed() < OFTEN) {
+                    return;
+                }
+                *last = Some(Instant::now());
+                let line = Line { phase, done, of, rate, eta, objective };
+                if let Ok(line) = serde_json::to_string(&line) {
+                    say(line);
+                }
+            }
         }
-        match progress.workers {
-            Some((workers, 0)) => words.push(format!("{workers} workers")),
-            Some((workers, lost)) => words.push(format!("{workers} workers, {lost} replaced")),
-            None => (),
-        }
-        self.bar.set_message(words.join(", "));
-        self.bar.set_position(progress.done.into());
     }
 
     fn report(&mut self, message: &str) {
-        self.bar.suspend(|| say(message));
+        self.display.report(message);
     }
 
     fn stop(&self) -> Option<StopReason> {
@@ -93,7 +227,7 @@ impl Observer for Terminal {
 
 /// A bar on the standard error; without a terminal there, nothing.
 fn progress_bar() -> ProgressBar {
-    let template = "{prefix:8} {bar:32} {pos}/{len} steps, {per_sec}, ETA {eta}  {msg}";
+    let template = "{prefix:8} {bar:32} {pos}/{len} steps  {msg}";
     ProgressBar::no_length()
         .with_style(ProgressStyle::with_template(template).expect("a valid template"))
 }

@@ -13,12 +13,13 @@ use perceptile::metric::{ScoreOptions, Scorer, Scores};
 use perceptile::run::backend::workers::WorkersOptions;
 use perceptile::run::checkpointer::Every;
 use perceptile::run::driver::{self, Output, Parallel};
+use perceptile::run::forecast::Forecast;
 use perceptile::run::memory;
 use perceptile::run::observer::Observer;
 use perceptile::run::output::OutputFiles;
 use perceptile::run::plan::Plan;
 use perceptile::run::summary::ParallelSummary;
-use perceptile::solver::{Parallelism, StopReason};
+use perceptile::solver::{Options, Parallelism, StopReason};
 use perceptile::tile::Tile;
 use perceptile_cluster::communicator::Communicator;
 use perceptile_cluster::faults::FaultPlan;
@@ -27,7 +28,7 @@ use rayon::ThreadPool;
 use super::execution::{self, ExecutionArgs};
 use super::exit::{Failure, Misuse};
 use super::prepared::{Files, Invocation, PreparedRun};
-use super::progress::Terminal;
+use super::progress::{Shown, Terminal};
 use super::stream::print;
 use super::{duration, ranks, summary};
 
@@ -36,27 +37,50 @@ use super::{duration, ranks, summary};
 #[derive(Debug, Args)]
 pub struct RunArgs {
     #[command(flatten)]
-    execution: ExecutionArgs,
+    pub execution: ExecutionArgs,
 
     /// Stop when this time is up, such as 90s, 10m or 2h, and write what there is
-    #[arg(long, value_parser = duration::parse)]
+    #[arg(long, value_parser = duration::parse, help_heading = "Running")]
     time: Option<Duration>,
 
     /// Write a checkpoint every so often, such as 60s, 10m or 500steps
-    #[arg(long, value_name = "EVERY", default_value = "60s", value_parser = duration::parse_every)]
+    #[arg(long, value_name = "EVERY", default_value = "60s", value_parser = duration::parse_every, help_heading = "Files")]
     pub checkpoint: Every,
 
     /// Bind each worker to cores of its own, in one NUMA node, with its memory there
-    #[arg(long)]
+    #[arg(long, help_heading = "Running")]
     pin: bool,
 
     /// Workers that may be lost and replaced before the run is given up
-    #[arg(long, value_name = "N", default_value_t = 16)]
+    #[arg(long, value_name = "N", default_value_t = 16, help_heading = "Running")]
     replacements: u32,
 
     /// A worker that gives no sign of life for so long counts as lost
-    #[arg(long, value_name = "TIME", default_value = "3s", value_parser = duration::parse_silence)]
+    #[arg(long, value_name = "TIME", default_value = "3s", value_parser = duration::parse_silence, help_heading = "Running")]
     silence: Duration,
+
+    /// How progress is shown on the standard error
+    #[arg(
+        long,
+        value_name = "HOW",
+        value_enum,
+        default_value_t = Shown::Auto,
+        env = "PERCEPTILE_PROGRESS",
+        help_heading = "Output"
+    )]
+    progress: Shown,
+
+    /// Say nothing but warnings and errors
+    #[arg(long, short, help_heading = "Output")]
+    quiet: bool,
+
+    /// Say also what threads, workers or ranks did
+    #[arg(long, short, conflicts_with = "quiet", help_heading = "Output")]
+    verbose: bool,
+
+    /// Print what was made as JSON
+    #[arg(long, help_heading = "Output")]
+    json: bool,
 
     /// Make workers fail on purpose: the mean life of one and the share that hangs, as 500ms,0.25
     #[arg(long, value_name = "PLAN", hide = true)]
@@ -93,17 +117,23 @@ impl RunArgs {
         communicator: &Arc<dyn Communicator>,
         prepare: impl FnOnce() -> Result<Option<PreparedRun>, Failure>,
     ) -> Result<ExitCode, Failure> {
-        let mut terminal = Terminal::open(communicator.rank() == 0)
+        let shown = if self.quiet { Shown::None } else { self.progress };
+        let mut terminal = Terminal::open(shown, communicator.rank() == 0)
             .map_err(Failure::refused("cannot listen for signals"))?;
         let job = ranks::share(&**communicator, || self.execution.threads(), prepare)?;
         let Some(PreparedRun { plan, start, mut files }) = job else {
             return Ok(ExitCode::SUCCESS);
         };
         let pool = ranks::agree(&**communicator, check_in(&plan, files.as_ref()))?;
+        let simd = self.execution.simd();
+        // A cluster's tile may be larger than one rank can hold.
+        let is_foreseen = terminal.is_watched() && plan.parallelism.ranks == 1 && is_long(&plan);
+        let forecast = is_foreseen.then(|| pool.install(|| Forecast::of(&plan, simd)).ok());
+        let forecast = forecast.flatten();
+        terminal.begin(&summary::intent(&plan, forecast.as_ref()), forecast);
         let started = Instant::now();
         terminal.limit(self.time);
         let parallel = self.parallel(&plan, communicator, files.as_ref());
-        let simd = self.execution.simd();
         let checkpointer = files.as_mut().map(|files| &mut files.checkpointer);
         // Workers end with the thread that starts them, which is one of the pool's.
         let output = pool
@@ -113,7 +143,69 @@ impl RunArgs {
             output.discard();
             return Ok(ExitCode::SUCCESS);
         };
-        finish(&output, &plan, files, &mut terminal, &pool, started)
+        self.finish(&output, &plan, files, &mut terminal, &pool, started)
+    }
+
+    /// Scores a tile, writes the files of a run and prints its summary.
+    fn finish(
+        &self,
+        output: &Output,
+        plan: &Plan,
+        files: Files,
+        terminal: &mut Terminal,
+        pool: &ThreadPool,
+        started: Instant,
+    ) -> Result<ExitCode, Failure> {
+        let Files { invocation, outputs, existing, checkpointer, claims: _claims } = files;
+        let seconds = started.elapsed().as_secs_f64();
+        let summary = &output.summary;
+        let interrupted = summary.reason == StopReason::Interrupted;
+        // A stopped run is to end soon, so it is not scored.
+        let is_scored = invocation.integrands > 0 && !interrupted && terminal.received().is_none();
+        let tile = is_scored.then(|| output.tile());
+        let score = |tile: &Tile| {
+            let options = ScoreOptions { integrands: invocation.integrands, ..Default::default() };
+            let taps = &plan.kernel.classes()[0].taps;
+            pool.install(|| Scorer::new(plan.options.shape, taps, options)?.score(tile))
+        };
+        let scores = tile.as_ref().map(score).transpose()?;
+        let mut made = None;
+        let provenance = |sha256| {
+            let sidecar = provenance(plan, &invocation, output, scores.as_ref(), seconds, sha256);
+            made.insert(sidecar).clone()
+        };
+        let whole = tile.as_ref().map_or(output as &dyn ArraySource, |tile| tile);
+        let written = outputs.write(plan.options.shape, whole, existing, provenance);
+        output.discard();
+        let path = checkpointer.path().display();
+        let resume = checkpointer.has_saved().then(|| format!("perceptile resume {path}"));
+        written.map_err(|error| match &resume {
+            Some(resume) => Failure::from(error).hinted(format_args!("; `{resume}` goes on")),
+            None => error.into(),
+        })?;
+        let made = made.expect("a tile that was written has its provenance");
+        let mut text = if self.json {
+            summary::json(&made, &outputs)?
+        } else if self.quiet {
+            String::new()
+        } else {
+            summary::describe(output, plan, scores.as_ref(), &made, &outputs, self.verbose)
+        };
+        let stopped = matches!(summary.reason, StopReason::Interrupted | StopReason::Time);
+        if let Some(resume) = resume.as_ref().filter(|_| stopped) {
+            if !self.json {
+                text += &format!("to go on    {resume}\n");
+            }
+        } else if let Err(error) = checkpointer.remove() {
+            terminal.report(&format!("the run's folder is left: {error}"));
+        }
+        // Another rank may have got the signal.
+        let signal = terminal.received().or(interrupted.then_some(130));
+        match (print(&text), signal) {
+            // A terminal that was closed takes no text.
+            (_, Some(code)) => Ok(ExitCode::from(code as u8)),
+            (printed, None) => Ok(printed.map(|()| ExitCode::SUCCESS)?),
+        }
     }
 
     /// Who does the steps.
@@ -152,6 +244,15 @@ fn check_in(plan: &Plan, files: Option<&Files>) -> Result<ThreadPool, Failure> {
     Ok(execution::pool(plan.parallelism.threads)?)
 }
 
+/// Whether a run takes so long that its phases are worth being timed before: some seconds.
+fn is_long(plan: &Plan) -> bool {
+    const SHORT: u64 = 1 << 23;
+    let Options { draw, steps, .. } = plan.options;
+    let draws = u64::from(steps).saturating_mul((draw.draws * draw.directions) as u64);
+    draws > SHORT
+        || plan.options.polish.steps > 0 && plan.options.shape.pixels() as u64 > SHORT >> 4
+}
+
 /// Checks that the run's folder is none of the files that it leaves.
 ///
 /// # Errors
@@ -163,55 +264,6 @@ pub fn check_folder(outputs: &OutputFiles, folder: &Path) -> Result<(), Misuse> 
             file.display()
         ))),
         None => Ok(()),
-    }
-}
-
-/// Scores a tile, writes the files of a run and prints its summary.
-fn finish(
-    output: &Output,
-    plan: &Plan,
-    files: Files,
-    terminal: &mut Terminal,
-    pool: &ThreadPool,
-    started: Instant,
-) -> Result<ExitCode, Failure> {
-    let Files { invocation, outputs, existing, checkpointer, claims: _claims } = files;
-    let seconds = started.elapsed().as_secs_f64();
-    let summary = &output.summary;
-    let interrupted = summary.reason == StopReason::Interrupted;
-    // A stopped run is to end soon, so it is not scored.
-    let is_scored = invocation.integrands > 0 && !interrupted && terminal.received().is_none();
-    let tile = is_scored.then(|| output.tile());
-    let score = |tile: &Tile| {
-        let options = ScoreOptions { integrands: invocation.integrands, ..Default::default() };
-        let taps = &plan.kernel.classes()[0].taps;
-        pool.install(|| Scorer::new(plan.options.shape, taps, options)?.score(tile))
-    };
-    let scores = tile.as_ref().map(score).transpose()?;
-    let provenance =
-        |sha256| provenance(plan, &invocation, output, scores.as_ref(), seconds, sha256);
-    let whole = tile.as_ref().map_or(output as &dyn ArraySource, |tile| tile);
-    let written = outputs.write(plan.options.shape, whole, existing, provenance);
-    output.discard();
-    let path = checkpointer.path().display();
-    let resume = checkpointer.has_saved().then(|| format!("perceptile resume {path}"));
-    written.map_err(|error| match &resume {
-        Some(resume) => Failure::from(error).hinted(format_args!("; `{resume}` goes on")),
-        None => error.into(),
-    })?;
-    let mut text = summary::describe(output, scores.as_ref(), &outputs, seconds);
-    let stopped = matches!(summary.reason, StopReason::Interrupted | StopReason::Time);
-    if let Some(resume) = resume.filter(|_| stopped) {
-        text += &format!("to go on    {resume}\n");
-    } else if let Err(error) = checkpointer.remove() {
-        terminal.report(&format!("the run's folder is left: {error}"));
-    }
-    // Another rank may have got the signal.
-    let signal = terminal.received().or(interrupted.then_some(130));
-    match (print(&text), signal) {
-        // A terminal that was closed takes no text.
-        (_, Some(code)) => Ok(ExitCode::from(code as u8)),
-        (printed, None) => Ok(printed.map(|()| ExitCode::SUCCESS)?),
     }
 }
 

@@ -58,7 +58,7 @@ impl From<TileSize> for String {
 /// Reads the name of a preset.
 fn presets() -> impl TypedValueParser<Value = Preset> {
     let help = |preset| match preset {
-        Preset::Best => "The best 64x64x16 tile that a minute of two cores allows",
+        Preset::Best => "The best 64x64x16 tile that half a minute of two cores allows",
         Preset::Quick => "The same tile in seconds",
         Preset::Paper => "The paper's job: 128x128x30, 10000 steps of 4096 draws",
         Preset::PaperTaa => "The paper's job for frames accumulated with alpha 0.2",
@@ -84,7 +84,7 @@ macro_rules! settings {
             pub viewing: ViewingArgs,
 
             /// Flags from a TOML file, under their names; what is typed here wins
-            #[arg(long, value_name = "FILE")]
+            #[arg(long, value_name = "FILE", help_heading = "Files")]
             #[serde(skip)]
             pub config: Option<PathBuf>,
         }
@@ -111,94 +111,107 @@ macro_rules! settings {
 }
 
 settings! {
-    /// Where all other settings come from [default: best]
-    #[arg(value_parser = presets())]
+    /// Named set of defaults; the other flags override it [default: best]
+    #[arg(value_parser = presets(), help_heading = "Tile")]
     preset: Preset,
 
-    /// Width x height x frames of the tile
-    #[arg(value_name = "WxHxF")]
+    /// Width x height x frames [default: 64x64x16; paper 128x128x30; paper-taa 128x128x30]
+    #[arg(value_name = "WxHxF", help_heading = "Tile")]
     tile: TileSize,
 
-    /// Samples per pixel, 1 to 64
+    /// Samples per pixel, 1 to 64 [default: 1]
+    #[arg(value_name = "N", help_heading = "Tile")]
     spp: usize,
 
-    /// Dimensions of a sample, 1 to 16
+    /// Dimensions of a sample, 1 to 16 [default: 2]
+    #[arg(value_name = "N", help_heading = "Tile")]
     dims: usize,
 
-    /// The filter through which error is seen; see `perceptile kernel --help`
-    #[arg(value_name = "SPEC")]
-    kernel: KernelSpec => kernel,
-
-    /// What all random numbers depend on
+    /// Seed of the random numbers [default: 1]
+    #[arg(value_name = "N", help_heading = "Tile")]
     seed: u64 => seed,
 
-    /// `random`, `stratified`, or a tile to start from
-    #[arg(value_name = "START")]
+    /// `random`, `stratified`, or a tile to start from [default: random]
+    #[arg(value_name = "START", help_heading = "Tile")]
     start: String,
 
-    /// Steps of stochastic gradient descent
+    /// The whole filter through which error is seen, instead of --fps, --taa and --sigma; see
+    /// `perceptile kernel --help`
+    #[arg(value_name = "SPEC", help_heading = "Kernel")]
+    kernel: KernelSpec => kernel,
+
+    /// Steps of stochastic gradient descent; fewer than the preset's shorten the polish as well
+    /// [default: 16000; quick 500; paper 10000; paper-taa 10000; salaun 3000]
+    #[arg(value_name = "N", help_heading = "Descent (for experts)")]
     steps: u32 => steps,
 
     /// Stop after so many steps of descent and polish together; schedules stay as they are
-    #[arg(value_name = "STEPS")]
+    #[arg(value_name = "STEPS", help_heading = "Descent (for experts)")]
     stop_after: u32 => stop_after,
 
-    /// Draws of a step: pixel, threshold and directions
+    /// Random draws per step (each: a pixel, a threshold, directions) [default: 4096]
+    #[arg(value_name = "N", help_heading = "Descent (for experts)")]
     draws: usize => draw.draws,
 
-    /// Directions for each draw
+    /// Directions for each draw, 1 to 16 [default: 2; paper 1; paper-taa 1]
+    #[arg(value_name = "N", help_heading = "Descent (for experts)")]
     directions: usize => draw.directions,
 
-    /// Share of the threshold range that is drawn from; the paper draws from all of it, 1
-    #[arg(value_name = "SHARE")]
+    /// Share of the threshold range that is drawn from; the paper's is 1 [default: 0.75]
+    #[arg(value_name = "SHARE", help_heading = "Descent (for experts)")]
     threshold_range: f64 => draw.threshold_range,
 
-    /// Share of directions along single axes
-    #[arg(value_name = "SHARE")]
+    /// Share of directions along single axes [default: 0.1]
+    #[arg(value_name = "SHARE", help_heading = "Descent (for experts)")]
     axis_share: f64 => draw.axis_share,
 
-    /// Share of directions in the planes of axis pairs, for more than two dimensions
-    #[arg(value_name = "SHARE")]
+    /// Share of directions in the planes of axis pairs, for more than two dimensions [default: 0.3]
+    #[arg(value_name = "SHARE", help_heading = "Descent (for experts)")]
     pair_share: f64 => draw.pair_share,
 
-    /// Adam's step size at the start, in units of the cube
+    /// Adam's step size at the start, in units of the cube [default: 0.02]
+    #[arg(help_heading = "Descent (for experts)")]
     rate: f64 => adam.rate,
 
-    /// Adam's step size at the end of its cosine
+    /// Adam's step size at the end of its cosine [default: 0]
+    #[arg(value_name = "RATE", help_heading = "Descent (for experts)")]
     final_rate: f64 => adam.final_rate,
 
-    /// Decay of Adam's first moment
+    /// Decay of Adam's first moment [default: 0.9]
+    #[arg(value_name = "DECAY", help_heading = "Descent (for experts)")]
     beta1: f64 => adam.beta1,
 
-    /// Decay of Adam's second moment
+    /// Decay of Adam's second moment [default: 0.99]
+    #[arg(value_name = "DECAY", help_heading = "Descent (for experts)")]
     beta2: f64 => adam.beta2,
 
-    /// Adam's epsilon
+    /// Adam's epsilon [default: 1e-8]
+    #[arg(help_heading = "Descent (for experts)")]
     epsilon: f64 => adam.epsilon,
 
-    /// Full-batch steps on the energy distance after the descent [default: the preset's for one
-    /// sample per pixel in two dimensions, else 0]
-    #[arg(value_name = "STEPS")]
+    /// Full-batch steps after the descent; above one sample per pixel and beside two dimensions they
+    /// are 0 unless given here [default: 150; quick 30; paper 80; paper-taa 80; salaun 50]
+    #[arg(value_name = "STEPS", help_heading = "Polish (for experts)")]
     polish: u32 => polish.steps,
 
-    /// Adam's step size at the start of the polish
-    #[arg(value_name = "RATE")]
+    /// Adam's step size at the start of the polish [default: 0.02]
+    #[arg(value_name = "RATE", help_heading = "Polish (for experts)")]
     polish_rate: f64 => polish.adam.rate,
 
-    /// Weight of single coordinates' energy in the polish
-    #[arg(value_name = "WEIGHT")]
+    /// Weight of single coordinates' energy in the polish [default: 0.15]
+    #[arg(value_name = "WEIGHT", help_heading = "Polish (for experts)")]
     polish_axis_weight: f64 => polish.axis_weight,
 
-    /// Weight of single coordinates' means in the polish
-    #[arg(value_name = "WEIGHT")]
+    /// Weight of single coordinates' means in the polish [default: 1]
+    #[arg(value_name = "WEIGHT", help_heading = "Polish (for experts)")]
     polish_linear_weight: f64 => polish.linear_weight,
 
-    /// Frames of the uniformity step that ends the run; 0 leaves it out
-    #[arg(value_name = "FRAMES")]
+    /// Iterations of the final pass that makes the samples uniform; 0 skips it [default: 400]
+    #[arg(value_name = "N", help_heading = "Polish (for experts)")]
     warp: u32 => warp.frames,
 
-    /// Share of the way that the uniformity step goes for each frame
-    #[arg(value_name = "SHARE")]
+    /// Step length of that pass, above 0 and at most 1 [default: 0.5]
+    #[arg(value_name = "SHARE", help_heading = "Polish (for experts)")]
     warp_rate: f64 => warp.rate,
 }
 
@@ -352,6 +365,35 @@ mod tests {
         fn no_text_makes_a_size_panic(text: String) {
             let _ = text.parse::<TileSize>();
         }
+    }
+
+    /// "[default: 16000; quick 500; paper 10000]" is what the presets have.
+    #[test]
+    fn help_says_the_presets_defaults() {
+        let mut said = 0;
+        for argument in <Command as clap::CommandFactory>::command().get_arguments() {
+            let name = argument.get_long().unwrap_or_default();
+            let help = argument.get_help().map(ToString::to_string).unwrap_or_default();
+            let Some((_, defaults)) = help.split_once("[default: ") else { continue };
+            let (default, others) = defaults.trim_end_matches(']').split_once("; ").unzip();
+            let others = others.unwrap_or_default().split("; ").filter_map(|it| it.split_once(' '));
+            let others: Vec<(&str, &str)> = others.collect();
+            let default = default.unwrap_or(defaults.trim_end_matches(']'));
+            for (preset, of_preset) in Preset::ALL {
+                let settings = Settings { preset: Some(preset), ..Settings::default() };
+                let all = settings.effective(&settings.options().unwrap().0);
+                let Some(value) = all.get(name).filter(|_| name != "preset") else { continue };
+                let other = others.iter().find(|(preset, _)| *preset == of_preset);
+                let expected = other.map_or(default, |(_, value)| value);
+                let is_same = match (value.as_f64(), expected.parse::<f64>()) {
+                    (Some(value), Ok(expected)) => value == expected,
+                    _ => value.as_str() == Some(expected),
+                };
+                assert!(is_same, "--{name} of {of_preset} is {value}, but help says {expected}");
+                said += 1;
+            }
+        }
+        assert_eq!(said, 22 * Preset::ALL.len());
     }
 
     #[test]

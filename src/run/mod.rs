@@ -11,13 +11,14 @@
 //! [`backend`]s, which differ in who does the [`steps`]. Between two steps [`watch`] reports to the
 //! [`observer`], stops the run for it, and has the [`checkpointer`] write to the [`folder`].
 //! [`gather`] takes tiles to the regions of ranks and back, [`signals`] turns signals into a stop,
-//! [`memory`] foresees what a run needs, and [`output`] writes its files.
+//! [`memory`] and [`forecast`] foresee what a run needs, and [`output`] writes its files.
 
 pub mod backend;
 pub mod checkpointer;
 pub mod driver;
 pub mod error;
 pub mod folder;
+pub mod forecast;
 pub mod gather;
 pub mod memory;
 pub mod observer;

@@ -14,7 +14,7 @@ use rustix::process::Signal;
 use serde_json::Value;
 
 use crate::child::output;
-use crate::tool::{LEASH, PROGRAM, Room, Run, caught};
+use crate::tool::{LEASH, PROGRAM, PROGRESS, Room, Run, caught};
 
 /// A run that takes no time.
 const SMALL: &[&str] = &[
@@ -69,6 +69,7 @@ impl Folder {
     fn command(&self, args: &[&str]) -> Command {
         let mut command = Command::new(PROGRAM);
         command.args(args).current_dir(self.path()).env("RUST_BACKTRACE", "0");
+        command.env(PROGRESS.0, PROGRESS.1);
         command
     }
 
@@ -145,7 +146,9 @@ fn a_run_leaves_a_tile_its_provenance_and_its_picture() {
     let folder = Folder::new();
     let printed = folder.small(&[]);
     assert_eq!(folder.names(), ["tile.json", "tile.npy", "tile.png"]);
-    for word in ["all steps done", "14 steps", "tile.npy", "scores", "objective", "phases"] {
+    for word in
+        ["all steps done", "12 steps and 2 polish steps", "tile.npy", "scores", "phases", "sha256"]
+    {
         assert!(printed.contains(word), "no {word} in {printed}");
     }
     let (tile, sidecar) = folder.tile("tile.npy");
@@ -364,8 +367,12 @@ fn a_file_of_settings_says_what_flags_say_and_flags_win() {
     assert_ne!(folder.read("flags.npy"), folder.read("file.npy"));
 
     for (content, words) in [
-        ("stpes = 5", &["run.toml", "stpes"][..]),
+        ("seed = 5\nstpes = 5", &["run.toml, line 2", "stpes", "'--steps'"][..]),
         ("steps = \"many\"", &["run.toml", "many"]),
+        ("config = \"other.toml\"", &["run.toml, line 1", "another"]),
+        ("force = \"yes\"", &["run.toml, line 1", "yes"]),
+        ("steps = [5]", &["run.toml, line 1", "a number"]),
+        ("sigma = 1\npixels-per-degree = 60", &["leave out --sigma"]),
         ("steps = -1", &["run.toml", "-1"]),
         ("tile = \"8x8\"", &["run.toml", "8x8"]),
         ("kernel = \"gausian(1)\"", &["run.toml", "gausian"]),
@@ -386,6 +393,107 @@ fn a_file_of_settings_says_what_flags_say_and_flags_win() {
     folder.fail(&["optimize", "--config", "absent.toml"], 1, &["absent.toml"]);
     for special in [".", "/dev/zero"] {
         folder.fail(&["optimize", "--config", special], 1, &[special]);
+    }
+
+    // It has the name of every flag, and what is printed reads as the same.
+    folder.write(
+        "all.toml",
+        "tile = \"8x9x4\"\nsteps = 12\ndraws = 64\nwarp = 5\nseed = 18446744073709551615\nforce = true\n\
+         integrands = 0\nthreads = 1\nout = \"all.npy\"\npin = false\ntime = \"1m\"\nfps = 48\n",
+    );
+    folder.succeed(&["optimize", "--config", "all.toml"]);
+    let printed = folder.succeed(&["optimize", "--config", "all.toml", "--print-config"]);
+    for line in ["fps = 48", "threads = 1", "polish = 0", "rate = 0.02", "preset = \"best\""] {
+        assert!(printed.lines().any(|printed| printed == line), "no {line}: {printed}");
+    }
+    folder.write("printed.toml", printed.replace("all.npy", "printed.npy"));
+    folder.succeed(&["optimize", "--config", "printed.toml"]);
+    assert_eq!(folder.read("all.npy"), folder.read("printed.npy"));
+    // What is typed takes the place of what says the same in another way.
+    let kernel = ["--kernel", "gaussian(1) @ 3x3x1", "--out", "kernel.npy"];
+    folder.succeed(&[&["optimize", "--config", "all.toml"], &kernel[..]].concat());
+    assert_eq!(folder.tile("kernel.npy").1.kernel, "gaussian(1) @ 3x3x1");
+}
+
+#[test]
+fn a_frame_rate_and_taa_make_the_kernel() {
+    let folder = Folder::new();
+    let line = ["optimize", "--steps", "2", "--integrands", "0", "--warp", "2", "--force"];
+    let kernel = |more: &[&str]| {
+        folder.succeed(&[&line[..], more].concat());
+        folder.tile("tile.npy").1.kernel
+    };
+    let tile = ["--tile", "16x16x8"];
+    let default = kernel(&tile);
+    assert_eq!(
+        kernel(&[&tile[..], &["--fps", "60"]].concat()),
+        default.replace("box(8)", "box(4)")
+    );
+    let taa = kernel(&[&tile[..], &["--fps", "120", "--taa", "0.1", "--sigma", "1"]].concat());
+    let expected =
+        "0.84: gaussian(1) * fovvideovdp(120) * ema(0.1) @ 5x5x35 + 0.06: column + 0.1: box(4)";
+    assert_eq!(taa, expected);
+    let far = kernel(&[&tile[..], &["--pixels-per-degree", "22.5"]].concat());
+    assert!(far.starts_with("0.84: gaussian(1.05) "), "{far}");
+    for (more, words) in [
+        (&["--taa", "0"][..], &["alpha is 0", "at most 1"][..]),
+        (&["--fps", "4"], &["fps is 4"]),
+        (&["--sigma", "1", "--pixels-per-degree", "45"], &["leave out --sigma"]),
+        (&["--fps", "60", "--kernel", "none"], &["--kernel says all of the kernel"]),
+    ] {
+        folder.fail(&[&["optimize"], more].concat(), 2, words);
+    }
+}
+
+#[test]
+fn fewer_steps_than_the_presets_shorten_the_polish() {
+    let folder = Folder::new();
+    let polish = |more: &[&str]| {
+        let line = [&["optimize", "--tile", "8x8x4", "--dry-run"], more].concat();
+        let printed = folder.succeed(&line);
+        let (before, _) = printed.split_once(" polish steps, ").unwrap();
+        before.rsplit(' ').next().unwrap().parse::<u32>().unwrap()
+    };
+    assert_eq!(polish(&[]), 150);
+    assert_eq!(polish(&["--steps", "20000"]), 150);
+    assert_eq!(polish(&["--steps", "1600"]), 15);
+    assert_eq!(polish(&["--steps", "40"]), 0);
+    assert_eq!(polish(&["--steps", "40", "--polish", "7"]), 7);
+    assert_eq!(polish(&["--steps", "0"]), 0);
+}
+
+#[test]
+fn a_run_says_what_it_does_how_long_it_takes_and_what_it_made() {
+    let folder = Folder::new();
+    let run = |more: &[&str]| {
+        let mut command = folder.command(&[SMALL, &["--force"], more].concat());
+        let output = output(command.env_remove("PERCEPTILE_PROGRESS"));
+        assert_eq!(output.status.code(), Some(0), "{more:?}");
+        (text(&output.stdout), text(&output.stderr))
+    };
+    let (printed, told) = run(&[]);
+    assert!(printed.starts_with("8x9x4, 1 spp, 2 dims: all steps done"), "{printed}");
+    assert!(
+        told.starts_with("8x9x4, 1 spp, 2 dims, seed 1: 12 steps, 2 polish steps on "),
+        "{told}"
+    );
+    assert!(told.contains("\nwarning: `gaussian(1) * ema(0.5) @ 3x3x4` leaves out 2"), "{told}");
+    assert!(told.contains("\nnote: this kernel has no part for still pictures"), "{told}");
+    assert_eq!(run(&["--quiet"]), (String::new(), String::new()));
+    let (printed, told) = run(&["--json", "--progress", "none"]);
+    let made: Value = serde_json::from_str(&printed).unwrap();
+    assert_eq!(made["sha256"], folder.tile("tile.npy").1.sha256);
+    assert_eq!((made["files"]["tile"].as_str(), &*told), (Some("tile.npy"), ""));
+
+    // A second or two of steps: at least one line for programs.
+    let line = ["--progress", "json", "--steps", "4000000000", "--time", "3s"];
+    let (_, told) = run(&line);
+    let lines: Vec<Value> = told.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert!(!lines.is_empty());
+    for line in lines {
+        assert_eq!(line["phase"], "descent");
+        assert!(line["rate"].as_f64().unwrap() > 0.0 && line["eta"].as_f64().unwrap() > 0.0);
+        assert_eq!(line["of"], 4_000_000_000_u32);
     }
 }
 

@@ -15,6 +15,9 @@ pub use crate::child::until;
 
 pub const PROGRAM: &str = env!("CARGO_BIN_EXE_perceptile");
 
+/// Says nothing of how runs go on: what is on the standard error is out of the ordinary.
+pub const PROGRESS: (&str, &str) = ("PERCEPTILE_PROGRESS", "none");
+
 /// The end of a run that goes on until it is told to stop, should nobody be left to tell it.
 pub const LEASH: &str = "--time 10m";
 
@@ -75,7 +78,8 @@ impl Room {
 
     /// Starts a command that is ready but for its folder and the streams that it writes to.
     pub fn start_as(&self, mut command: Command) -> Run {
-        Run(Child::start(command.current_dir(self.0.path()).env("RUST_BACKTRACE", "0")))
+        let command = command.current_dir(self.0.path()).env("RUST_BACKTRACE", "0");
+        Run(Child::start(command.env(PROGRESS.0, PROGRESS.1)))
     }
 
     pub fn run(&self, line: &str) -> Ended {
