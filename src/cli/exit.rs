@@ -18,7 +18,6 @@ use perceptile::profile::scaling::costs::CostsError;
 use perceptile::report::ReportError;
 #[cfg(unix)]
 use perceptile::run::backend::workers::task::WorkerError;
-use perceptile::run::checkpointer::ResumeError;
 use perceptile::run::error::RunError;
 use perceptile::run::folder::FolderError;
 use perceptile::run::memory::MemoryError;
@@ -143,7 +142,6 @@ exits! {
         _ => Exit::Failed,
     }
     FolderError { Self::Unfinished { .. } | Self::InUse { .. } => Exit::Exists, _ => Exit::Failed }
-    ResumeError { Self::Folder(error) => error.exit(), _ => Exit::Failed }
     MemoryError { _ => Exit::Memory }
     MapError { Self::NoMemory { .. } => Exit::Memory, _ => Exit::Failed }
     CostsError { Self::Options(error) => error.exit(), _ => Exit::Failed }

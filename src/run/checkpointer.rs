@@ -8,7 +8,6 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
-use thiserror::Error;
 
 use crate::format::numbers::ArraySource;
 use crate::format::write::Existing;
@@ -73,33 +72,6 @@ pub struct Resumed {
     pub damaged: Vec<String>,
 }
 
-/// Why a run cannot go on.
-#[derive(Debug, Error)]
-pub enum ResumeError {
-    /// Its folder cannot be used.
-    #[error(transparent)]
-    Folder(#[from] FolderError),
-    /// It was made by another version, whose steps may be others.
-    #[error(
-        "the run in {} was made by version {found}, and this is {}: only that version makes its tile",
-        path.display(), env!("CARGO_PKG_VERSION")
-    )]
-    Version {
-        /// Its folder.
-        path: PathBuf,
-        /// The version.
-        found: String,
-    },
-    /// What the checkpoint says cannot be.
-    #[error("the checkpoint in {} cannot be used: {rule}", path.display())]
-    Content {
-        /// Its folder.
-        path: PathBuf,
-        /// What is wrong.
-        rule: String,
-    },
-}
-
 impl Checkpointer {
     /// Writes the checkpoints of a run to a folder. `invocation` is for whoever lets it go on.
     ///
@@ -139,7 +111,7 @@ impl Checkpointer {
         path: &Path,
         every: Every,
         parallelism: Parallelism,
-    ) -> Result<(Self, Resumed), ResumeError> {
+    ) -> Result<(Self, Resumed), FolderError> {
         let mut folder = RunFolder::open(path)?;
         let mut stray = None;
         let loaded = folder.newest::<Head>(&mut |number, array, piece| {
@@ -150,10 +122,10 @@ impl Checkpointer {
         let Loaded { number, head, arrays, damaged } = loaded;
         let Head { version, plan, record, invocation } = head;
         if version != env!("CARGO_PKG_VERSION") {
-            return Err(ResumeError::Version { path: path.to_owned(), found: version });
+            return Err(FolderError::Version { path: path.to_owned(), found: version });
         }
         let (from, held) = (plan.from, arrays.lengths());
-        let content = |rule: String| ResumeError::Content { path: path.to_owned(), rule };
+        let content = |rule: String| FolderError::Content { path: path.to_owned(), rule };
         for (fits, rule) in [
             (matches!(from.phase, Phase::Descent | Phase::Polish), "its phase has no steps"),
             (from.step <= plan.steps_of(from.phase), "it has more steps than the run"),
@@ -308,7 +280,7 @@ mod tests {
         checkpointer.save(plan, plan.from, record.read(), state).unwrap();
     }
 
-    fn resume(path: &Path) -> Result<Resumed, ResumeError> {
+    fn resume(path: &Path) -> Result<Resumed, FolderError> {
         Checkpointer::resume(path, Every::Steps(1), Parallelism::threads())
             .map(|(_, resumed)| resumed)
     }

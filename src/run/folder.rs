@@ -38,7 +38,7 @@ const KEPT: usize = 2;
 /// How often a folder is tried that others make and remove at the same time.
 const ATTEMPTS: usize = 16;
 
-/// Why the folder of a run cannot be used.
+/// Why the folder of a run cannot be used, or the run in it cannot go on.
 #[derive(Debug, Error)]
 pub enum FolderError {
     /// The path is empty.
@@ -125,6 +125,25 @@ pub enum FolderError {
         path: PathBuf,
         /// What is wrong now.
         error: CheckpointError,
+    },
+    /// The run was made by another version, whose steps may be others.
+    #[error(
+        "the run in {} was made by version {found}, and this is {}: only that version makes its tile",
+        path.display(), env!("CARGO_PKG_VERSION")
+    )]
+    Version {
+        /// The folder.
+        path: PathBuf,
+        /// The version.
+        found: String,
+    },
+    /// What the checkpoint says cannot be.
+    #[error("the checkpoint in {} cannot be used: {rule}", path.display())]
+    Content {
+        /// The folder.
+        path: PathBuf,
+        /// What is wrong.
+        rule: String,
     },
     /// A checkpoint that would not be the newest.
     #[error(

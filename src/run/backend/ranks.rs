@@ -30,6 +30,10 @@ use crate::tile::{Region, Regions};
 
 /// How much time passes between two pulses: a run that is to stop does so after that.
 const PULSE: Duration = Duration::from_millis(100);
+/// Why ranks stop, by its number in what they send each other. The largest counts; what is none of
+/// these is the last.
+const REASONS: [Option<StopReason>; 3] =
+    [None, Some(StopReason::Time), Some(StopReason::Interrupted)];
 
 /// The ranks of a run, seen from one of them.
 pub struct Ranks<'a> {
@@ -98,11 +102,8 @@ impl Backend for Ranks<'_> {
 
     fn agree(&mut self, at: Position, own: Decision, watch: &Watch<'_>) -> Decision {
         let done = self.plan.steps_done(at);
-        let asked = match own.stop {
-            None => 0,
-            Some(StopReason::Time) => 1,
-            Some(_) => 2,
-        };
+        let asked = REASONS.iter().position(|reason| *reason == own.stop);
+        let asked = asked.unwrap_or(REASONS.len() - 1) as i64;
         let mut known = [asked, i64::from(own.checkpoint), 0];
         if self.communicator.rank() == 0 {
             known[2] = self.next_interval(watch.steps_until_due(done)).into();
@@ -111,12 +112,7 @@ impl Backend for Ranks<'_> {
         let [asked, checkpoint, interval] = known;
         self.interval = interval as u32;
         self.next = done.saturating_add(self.interval);
-        let stop = match asked {
-            0 => None,
-            1 => Some(StopReason::Time),
-            _ => Some(StopReason::Interrupted),
-        };
-        Decision { stop, checkpoint: checkpoint > 0 }
+        Decision { stop: REASONS[asked as usize], checkpoint: checkpoint > 0 }
     }
 
     fn obey(&mut self, at: Position, decision: Decision) -> Option<Position> {
