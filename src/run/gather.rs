@@ -174,21 +174,15 @@ struct Gather<'a> {
     communicator: &'a dyn Communicator,
     cut: Cut<'a>,
     buffer: Vec<f32>,
-    share: Vec<f32>,
     sink: &'a mut dyn NumberSink,
     result: io::Result<()>,
 }
 
-impl<'a> Gather<'a> {
-    fn new(communicator: &'a dyn Communicator, cut: Cut<'a>, sink: &'a mut dyn NumberSink) -> Self {
-        let (buffer, share) = (Vec::new(), Vec::new());
-        Self { communicator, cut, buffer, share, sink, result: Ok(()) }
-    }
-
+impl Gather<'_> {
     /// Gives this rank's share of a chunk. The root puts the chunk together and passes it on, unless
     /// something went wrong before.
     fn chunk(&mut self, chunk: &Chunk, own: &[f32]) {
-        let Self { communicator, cut, buffer, share, sink, result } = self;
+        let Self { communicator, cut, buffer, sink, result } = self;
         if communicator.rank() != 0 {
             if !own.is_empty() {
                 communicator.send(0, bytemuck::cast_slice(own));
@@ -197,13 +191,12 @@ impl<'a> Gather<'a> {
         }
         buffer.resize(cut.words(chunk), 0.0);
         for rank in cut.ranks(chunk) {
-            let mut from = if rank == 0 {
-                own
-            } else {
+            let (mut from, mut share) = (own, Vec::new());
+            if rank != 0 {
                 share.resize(cut.shared_words(chunk, rank), 0.0);
-                communicator.receive(rank, bytemuck::cast_slice_mut(share));
-                share.as_slice()
-            };
+                communicator.receive(rank, bytemuck::cast_slice_mut(&mut share));
+                from = &share;
+            }
             for place in cut.places(chunk, rank) {
                 let (row, rest) = from.split_at(place.len());
                 buffer[place].copy_from_slice(row);
@@ -228,7 +221,7 @@ pub fn gather(
     sink: &mut dyn NumberSink,
 ) -> io::Result<()> {
     let cut = Cut::new(regions);
-    let mut whole = Gather::new(communicator, cut, sink);
+    let mut whole = Gather { communicator, cut, buffer: Vec::new(), sink, result: Ok(()) };
     let mut chunks = cut.in_line_order().into_iter().peekable();
     let mut waiting = Vec::new();
     let share = |chunk: &Chunk| cut.shared_words(chunk, communicator.rank());
@@ -257,7 +250,7 @@ pub fn gather_tile(
     sink: &mut dyn NumberSink,
 ) -> io::Result<()> {
     let cut = Cut::new(regions);
-    let mut whole = Gather::new(communicator, cut, sink);
+    let mut whole = Gather { communicator, cut, buffer: Vec::new(), sink, result: Ok(()) };
     let place = regions.own().place();
     let row = place.width * cut.pixel;
     for chunk in cut.in_c_order() {
