@@ -158,10 +158,6 @@ exits! {
     RunError {
         Self::Options(error) => error.exit(),
         Self::Memory(error) => error.exit(),
-        Self::Workers(error) => error.exit(),
-        Self::Start(_) | Self::Elsewhere => Exit::Failed,
-    }
-    WorkersError {
         Self::Lost { .. } => Exit::Lost,
         Self::Affinity(_) => Exit::Misuse,
         _ => Exit::Failed,
@@ -179,6 +175,7 @@ exits! {
     RunError {
         Self::Options(error) => error.exit(),
         Self::Memory(error) => error.exit(),
-        Self::Start(_) | Self::Elsewhere => Exit::Failed,
+        Self::Lost { .. } => Exit::Lost,
+        _ => Exit::Failed,
     }
 }

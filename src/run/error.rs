@@ -1,11 +1,11 @@
 //! Why a run makes no tile.
 
-#[cfg(unix)]
 use std::{io, path::PathBuf};
 
+use perceptile_cluster::codec::CodecError;
 use perceptile_cluster::shared::MapError;
 #[cfg(unix)]
-use perceptile_cluster::{affinity::AffinityError, codec::CodecError, process::ProcessError};
+use perceptile_cluster::{affinity::AffinityError, process::ProcessError};
 use thiserror::Error;
 
 use crate::run::folder::FolderError;
@@ -26,16 +26,6 @@ pub enum RunError {
     /// Another rank failed, which says how.
     #[error("another rank failed")]
     Elsewhere,
-    /// Worker processes cannot be used, or too many were lost.
-    #[cfg(unix)]
-    #[error(transparent)]
-    Workers(#[from] WorkersError),
-}
-
-/// Why worker processes make no tile.
-#[cfg(unix)]
-#[derive(Debug, Error)]
-pub enum WorkersError {
     /// No file for shared memory can be made.
     #[error("no file for shared memory can be made in {}: {error}", folder.display())]
     File {
@@ -45,9 +35,11 @@ pub enum WorkersError {
         error: io::Error,
     },
     /// Workers cannot be started.
+    #[cfg(unix)]
     #[error(transparent)]
     Process(#[from] ProcessError),
     /// Workers cannot be bound to processors.
+    #[cfg(unix)]
     #[error(transparent)]
     Affinity(#[from] AffinityError),
     /// Workers cannot be sent their task.

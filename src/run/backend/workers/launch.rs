@@ -13,7 +13,7 @@ use perceptile_cluster::{Worker, affinity, codec};
 use super::WorkersOptions;
 use super::task::{Task, VERSION};
 use crate::gradient::simd::Simd;
-use crate::run::error::{RunError, WorkersError};
+use crate::run::error::RunError;
 use crate::run::plan::Plan;
 use crate::run::start::InitialState;
 use crate::solver::Storage;
@@ -34,8 +34,7 @@ pub(super) fn launch(
     report: &mut dyn FnMut(&str),
 ) -> Result<(Workers, Arc<Worker>, Storage), RunError> {
     let (processes, threads) = (plan.parallelism.processes(), plan.parallelism.threads);
-    let assign = || affinity::assign(processes, threads).map_err(WorkersError::from);
-    let affinity = options.pin.then(assign).transpose()?;
+    let affinity = options.pin.then(|| affinity::assign(processes, threads)).transpose()?;
     for (index, processors) in affinity.iter().flatten().enumerate() {
         report(&format!("worker {index} runs on {processors}"));
     }
@@ -45,8 +44,7 @@ pub(super) fn launch(
     for (index, processors) in affinity.iter().flatten().enumerate() {
         // Memory lies near whoever touches it first.
         let ranges = storage.shares(index);
-        affinity::with_bound(processors, || allocate(&file, folder, header, &ranges))
-            .map_err(WorkersError::from)??;
+        affinity::with_bound(processors, || allocate(&file, folder, header, &ranges))??;
     }
     let (worker, mut storage) = storage.open(Map::create(&file, folder, header)?, 0, None);
     start.put(plan, &worker, &mut storage)?;
@@ -59,21 +57,21 @@ pub(super) fn launch(
         spins: worker.spins(),
     };
     let launch = Launch {
-        program: this_program().map_err(WorkersError::from)?,
+        program: this_program()?,
         arguments: options.arguments.iter().map(Into::into).collect(),
         workers: processes,
         version: VERSION.into(),
-        payload: codec::encode(&task).map_err(WorkersError::Task)?,
+        payload: codec::encode(&task).map_err(RunError::Task)?,
         memory: file,
         affinity,
         patience: PATIENCE,
         silence: options.silence,
     };
-    Ok((Workers::start(launch).map_err(WorkersError::from)?, worker, storage))
+    Ok((Workers::start(launch)?, worker, storage))
 }
 
 /// A file without a name for shared memory, and its folder: where it is fastest, or else `folder`.
-fn memory(bytes: u64, folder: &Path) -> Result<(File, &Path), WorkersError> {
+fn memory(bytes: u64, folder: &Path) -> Result<(File, &Path), RunError> {
     let room = |path: &str| {
         let system = rustix::fs::statvfs(path).ok()?;
         system.f_bavail.checked_mul(system.f_frsize)
@@ -82,6 +80,6 @@ fn memory(bytes: u64, folder: &Path) -> Result<(File, &Path), WorkersError> {
     let folder = if fits { Path::new(FASTEST) } else { folder };
     match tempfile::tempfile_in(folder) {
         Ok(file) => Ok((file, folder)),
-        Err(error) => Err(WorkersError::File { folder: folder.to_owned(), error }),
+        Err(error) => Err(RunError::File { folder: folder.to_owned(), error }),
     }
 }

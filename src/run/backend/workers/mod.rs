@@ -19,7 +19,7 @@ use perceptile_cluster::shared::{Board, Counter};
 use super::Backend;
 use crate::format::numbers::{ArraySource, NumberSink};
 use crate::gradient::simd::Simd;
-use crate::run::error::{RunError, WorkersError};
+use crate::run::error::RunError;
 use crate::run::plan::{Plan, Position};
 use crate::run::start::InitialState;
 use crate::run::steps::Steps;
@@ -137,7 +137,7 @@ impl<'a> Supervisor<'a> {
                     (Ok(()), None) => String::new(),
                 };
                 let (lost, cause) = (self.replaced + 1, cause.to_string());
-                return Err(WorkersError::Lost { lost, cause, kept }.into());
+                return Err(RunError::Lost { lost, cause, kept });
             }
             steps.advance()?;
         }
@@ -243,15 +243,15 @@ pub fn run_task(
 ) -> Result<Vec<Vec<u8>>, RunError> {
     let (mut workers, worker, _storage) =
         launch::launch(plan, start, simd, options, Some(task), &mut |_| ())?;
-    let lost = |cause| WorkersError::Lost { lost: 1, cause, kept: String::new() };
+    let lost = |cause| RunError::Lost { lost: 1, cause, kept: String::new() };
     while workers.pids().iter().any(Option::is_some) {
         if let Some(loss) = losses(&mut workers, &worker).into_iter().next() {
-            return Err(lost(loss.cause.to_string()).into());
+            return Err(lost(loss.cause.to_string()));
         }
         std::thread::sleep(PAUSE);
     }
     let reports = workers.finish(FAREWELL).into_iter().collect::<Option<Vec<Vec<u8>>>>();
-    Ok(reports.ok_or_else(|| lost("did not report".into()))?)
+    reports.ok_or_else(|| lost("did not report".into()))
 }
 
 /// Workers that are no more, dead or hung.
