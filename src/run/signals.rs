@@ -42,10 +42,8 @@ impl Signals {
 
     /// The exit code for the signal that has arrived, if one has.
     pub fn received(&self) -> Option<i32> {
-        match self.number.load(Ordering::Relaxed) {
-            0 => None,
-            number => Some(exit_code(number as i32)),
-        }
+        let number = self.number.load(Ordering::Relaxed) as i32;
+        (number > 0).then(|| exit_code(number))
     }
 
     /// Starts the thread that listens.

@@ -19,8 +19,10 @@ use crate::tile::Regions;
 /// The steps of a plan, from the samples and the moments of a region that lie in its storage.
 pub struct Steps<'a> {
     plan: &'a Plan,
-    worker: Arc<Worker>,
-    record: Arc<Record>,
+    /// Who does the steps.
+    pub(super) worker: Arc<Worker>,
+    /// What the draws of this rank found.
+    pub(super) record: Arc<Record>,
     regions: Regions,
     simd: Simd,
     at: Position,
@@ -55,11 +57,6 @@ impl<'a> Steps<'a> {
         Ok(steps)
     }
 
-    /// Who does the steps, and what the draws of this rank found.
-    pub fn shared(&self) -> (&Arc<Worker>, &Arc<Record>) {
-        (&self.worker, &self.record)
-    }
-
     /// Where the run stands: before a step, or after the last one of a phase. `None` when all steps
     /// are over.
     pub fn position(&self) -> Option<Position> {
@@ -83,6 +80,9 @@ impl<'a> Steps<'a> {
     ///
     /// # Errors
     /// If a step would be too coarse.
+    ///
+    /// # Panics
+    /// If all steps are over.
     pub fn advance(&mut self) -> Result<(), OptionsError> {
         let Self { plan, worker, at, stage, .. } = self;
         if at.step < plan.steps_of(at.phase) && plan.goes_on(worker, *at) {
@@ -91,7 +91,7 @@ impl<'a> Steps<'a> {
                     descent.step(at.step);
                 }
                 Stage::Polish(polish) => polish.step(at.step),
-                Stage::Over(_) | Stage::Between => return Ok(()),
+                Stage::Over(_) | Stage::Between => panic!("a step of no phase"),
             }
             at.step += 1;
             return Ok(());
@@ -99,10 +99,7 @@ impl<'a> Steps<'a> {
         match mem::replace(stage, Stage::Between) {
             Stage::Descent(descent) => self.start(Phase::Polish, descent.leave()),
             Stage::Polish(polish) => self.start(Phase::Warp, polish.leave()),
-            over => {
-                *stage = over;
-                Ok(())
-            }
+            Stage::Over(_) | Stage::Between => panic!("all steps are over"),
         }
     }
 

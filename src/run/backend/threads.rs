@@ -50,7 +50,7 @@ impl ArraySource for Threads<'_> {
 
 impl Backend for Threads<'_> {
     fn shared(&self) -> (&Arc<Worker>, &Arc<Record>) {
-        self.0.shared()
+        (&self.0.worker, &self.0.record)
     }
 
     fn position(&self) -> Option<Position> {
@@ -59,7 +59,7 @@ impl Backend for Threads<'_> {
 
     fn obey(&mut self, at: Position, decision: Decision) -> Option<Position> {
         if decision.stop.is_some() {
-            self.0.shared().0.board().stop_here();
+            self.0.worker.board().stop_here();
         }
         decision.checkpoint.then_some(at)
     }
