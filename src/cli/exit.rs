@@ -15,6 +15,8 @@ use perceptile::metric::ScoreError;
 use perceptile::profile::report::ProfileError;
 use perceptile::profile::roofline::RooflineError;
 use perceptile::profile::scaling::costs::CostsError;
+#[cfg(unix)]
+use perceptile::profile::workers::WorkersProfileError;
 use perceptile::report::ReportError;
 #[cfg(unix)]
 use perceptile::run::backend::workers::task::WorkerError;
@@ -23,8 +25,6 @@ use perceptile::run::folder::FolderError;
 use perceptile::run::memory::MemoryError;
 use perceptile::solver::OptionsError;
 use perceptile::tile::ShapeError;
-#[cfg(unix)]
-use perceptile::{profile::workers::WorkersProfileError, run::error::WorkersError};
 use perceptile_cluster::shared::MapError;
 
 use super::stream::{OutputError, say};
