@@ -155,7 +155,9 @@ pub fn file(
 /// The value that an argument is in a file.
 fn value(text: &str) -> Value {
     let integer = text.parse().map(Value::Integer).ok();
-    let float = || text.parse().map(Value::Float).ok();
+    // A seed may be larger than the integers of a file.
+    let is_integer = text.bytes().all(|byte| byte.is_ascii_digit());
+    let float = || text.parse().map(Value::Float).ok().filter(|_| !is_integer);
     let boolean = || text.parse().map(Value::Boolean).ok();
     integer.or_else(float).or_else(boolean).unwrap_or_else(|| Value::String(text.into()))
 }
