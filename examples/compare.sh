@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Makes every tile of README's comparison tables and scores them, in about ten minutes of two
+# Makes every tile of the tables in docs/comparison.md and scores them, in about ten minutes of two
 # cores. Tables go to the standard output.
 #
 #     examples/compare.sh DIR [FOREIGN]

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# The tables of ranks in README: how long they take, what travels between them, and the memory of
+# The tables of ranks in docs/clusters.md: how long they take, what travels between them, and the memory of
 # each. Needs Open MPI; builds the program with MPI first. The shortest of ROUNDS runs counts.
 #
 #   examples/ranks.sh [ROUNDS]

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# The paper's job by threads of one process and by worker processes: the table of README.
+# The paper's job by threads of one process and by worker processes: the table of docs/workers.md.
 #
 #   examples/scaling.sh [ROUNDS]
 #

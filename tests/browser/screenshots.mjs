@@ -1,4 +1,4 @@
-// The pictures of a report that README shows:
+// The pictures of a report that README and docs/report.md show:
 //
 //     node tests/browser/screenshots.mjs REPORT FOLDER
 //
