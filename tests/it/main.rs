@@ -5,6 +5,8 @@ mod child;
 mod command;
 mod determinism;
 #[cfg(target_os = "linux")]
+mod docs;
+#[cfg(target_os = "linux")]
 mod failures;
 mod format;
 mod gradient;
