@@ -241,7 +241,9 @@ impl Settings {
                 let rule = "leave out --fps, --taa, --sigma and --pixels-per-degree";
                 return Err(Misuse(format!("--kernel says all of the kernel: {rule}")).into());
             }
-            options.kernel = self.viewing.kernel(options.shape)?;
+            let kernel = self.viewing.kernel(options.shape)?;
+            options.steps = for_as_long(&options, &kernel)?;
+            options.kernel = kernel;
         }
         let (start, tile) = match self.start.as_deref() {
             None => (options.start, None),
@@ -287,6 +289,20 @@ impl Settings {
             })
             .collect()
     }
+}
+
+/// As many steps as take as long with a kernel as the options' steps with the default one: what a draw
+/// costs is in proportion to its subset. With smaller subsets no more steps are done.
+///
+/// For 120 frames per second and TAA with α = 0.1 that is 6,800 steps instead of 16,000. A fifth of them
+/// raises the score of edges by 2.5 %, of bumps by 17 % (64×64×16, set 7).
+fn for_as_long(options: &Options, kernel: &KernelSpec) -> Result<u32, Failure> {
+    let subset = |kernel: &KernelSpec| -> Result<f64, Failure> {
+        Ok(kernel.resolve(options.shape)?.classes()[0].taps.mean_subset())
+    };
+    let default = ViewingArgs::default().kernel(options.shape)?;
+    let share = (subset(&default)? / subset(kernel)?).min(1.0);
+    Ok((f64::from(options.steps) * share).round() as u32)
 }
 
 #[cfg(test)]

@@ -435,7 +435,7 @@ fn a_frame_rate_and_taa_make_the_kernel() {
     );
     let taa = kernel(&[&tile[..], &["--fps", "120", "--taa", "0.1", "--sigma", "1"]].concat());
     let expected =
-        "0.84: gaussian(1) * fovvideovdp(120) * ema(0.1) @ 5x5x35 + 0.06: column + 0.1: box(4)";
+        "0.84: gaussian(1) * fovvideovdp(120) * ema(0.1) @ 5x5x8 + 0.06: column + 0.1: box(4)";
     assert_eq!(taa, expected);
     let far = kernel(&[&tile[..], &["--pixels-per-degree", "22.5"]].concat());
     assert!(far.starts_with("0.84: gaussian(1.05) "), "{far}");
