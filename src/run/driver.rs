@@ -159,7 +159,9 @@ fn drive(plan: &Plan, mut backend: impl Backend, mut watch: Watch<'_>) -> Result
         }
         if let Some(at) = backend.obey(at, decision) {
             if let Err(error) = watch.save(at, recorded(), &backend) {
-                watch.report(&format!("no checkpoint was written: {error}"));
+                watch.report(&format!(
+                    "warning: no checkpoint was written, so the run is NOT saved: {error}"
+                ));
             }
             backend.release();
         }

@@ -98,7 +98,7 @@ pub enum FolderError {
     NotFile(PathBuf),
     /// A run is there that could be resumed, and giving it up was not asked for.
     #[error(
-        "{} holds an unfinished run, up to {CHECKPOINT}{number}: resume it; --force gives it up",
+        "{0} holds an unfinished run, up to {CHECKPOINT}{number}: `perceptile resume {0}` goes on, --force discards it",
         path.display()
     )]
     Unfinished {
