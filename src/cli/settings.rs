@@ -266,6 +266,9 @@ impl Settings {
         };
         let mut all = Self::of(options);
         all.retain(|_, value| !value.is_null());
+        if self.viewing.is_given() {
+            all.remove("kernel");
+        }
         let size = String::from(TileSize([shape.width(), shape.height(), shape.frames()]));
         all.insert("preset".into(), serde_json::json!(preset));
         all.insert("tile".into(), size.into());

@@ -15,6 +15,7 @@ use serde_json::{Value, json};
 use tempfile::TempDir;
 
 use crate::child::{Child, output, until};
+use crate::tool::PROGRESS;
 
 const PROGRAM: &str = env!("CARGO_BIN_EXE_perceptile");
 const KERNEL: &str = "gaussian(1) * ema(0.5) @ 3x3x4";
@@ -41,7 +42,8 @@ impl Room {
     }
 
     fn run(&self, words: &[&str]) -> Output {
-        output(Command::new(PROGRAM).args(words).current_dir(self.0.path()))
+        let mut command = Command::new(PROGRAM);
+        output(command.args(words).current_dir(self.0.path()).env(PROGRESS.0, PROGRESS.1))
     }
 
     fn succeed(&self, words: &[&str]) -> String {
