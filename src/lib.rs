@@ -10,9 +10,9 @@
 //!  kernel ──► draw ──► gradient ──► solver ──► run ──► format      tile.npy, .json, .png
 //!  spec→taps  cells'    project,     patches    driver, files
 //!             draws     rank, move   → Adam     backends
-//!                 ╲        ╱           ├─► profile    └─► metric  scores, spectra
-//!             tile: shape, cells, blocks,  stages,         └─► report  a page with an animation
-//!             rows (all index arithmetic)  caches, roofline
+//!                 ╲        ╱           ├─► profile    ├─► metric  scores, spectra
+//!             tile: shape, cells, blocks,  stages,         ├─► preview  the picture beside a tile
+//!             rows (all index arithmetic)  caches, roofline └─► report  a page with an animation
 //! ```
 //!
 //! Arrows run one way. A step of the solver ([`solver::Descent::step`]) has two halves. In the
@@ -46,6 +46,7 @@ pub mod format;
 pub mod gradient;
 pub mod kernel;
 pub mod metric;
+pub mod preview;
 pub mod profile;
 pub mod report;
 pub mod run;

@@ -163,9 +163,9 @@ impl RunArgs {
         // A stopped run is to end soon, so it is not scored.
         let is_scored = invocation.integrands > 0 && !interrupted && terminal.received().is_none();
         let tile = is_scored.then(|| output.tile());
+        let taps = &plan.kernel.classes()[0].taps;
         let score = |tile: &Tile| {
             let options = ScoreOptions { integrands: invocation.integrands, ..Default::default() };
-            let taps = &plan.kernel.classes()[0].taps;
             pool.install(|| Scorer::new(plan.options.shape, taps, options)?.score(tile))
         };
         let scores = tile.as_ref().map(score).transpose()?;
@@ -175,7 +175,8 @@ impl RunArgs {
             made.insert(sidecar).clone()
         };
         let whole = tile.as_ref().map_or(output as &dyn ArraySource, |tile| tile);
-        let written = outputs.write(plan.options.shape, whole, existing, provenance);
+        let (shape, scored) = (plan.options.shape, scores.as_ref());
+        let written = outputs.write(shape, whole, taps, scored, existing, provenance);
         output.discard();
         let path = checkpointer.path().display();
         let resume = checkpointer.has_saved().then(|| format!("perceptile resume {path}"));

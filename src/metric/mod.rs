@@ -6,13 +6,14 @@
 //! tile covers the cube; `scores` puts them together, and `scored_tile` those of a tile under
 //! its name.
 //! `spectrum` shows where the error's power is, `baseline` makes tiles to compare with, and
-//! `quantization` what integer textures make of a tile. Lower is better throughout, and white
-//! noise stands at 1.
+//! `quantization` what integer textures make of a tile; `figure` writes a score for people. Lower
+//! is better throughout, and white noise stands at 1.
 
 mod accumulation;
 mod baseline;
 mod error;
 mod exact;
+mod figure;
 mod fourier;
 mod integrand;
 mod perceived;
@@ -26,6 +27,7 @@ mod uniformity;
 pub use accumulation::accumulated_mean_square;
 pub use baseline::{Baseline, UnknownBaseline};
 pub use error::ScoreError;
+pub use figure::figure;
 pub use integrand::{Class, Domain, Integrand, IntegrandSet, LEAST_VARIANCE, integrand_sets};
 pub use perceived::{MeanSquares, Perceived, PerceivedWorkspace};
 pub use quantization::quantized;

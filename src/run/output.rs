@@ -7,9 +7,11 @@ use crate::format::claim::Claim;
 use crate::format::hashed::Hashed;
 use crate::format::npy;
 use crate::format::numbers::{ArraySource, NumberSink};
-use crate::format::picture::Preview;
 use crate::format::sidecar::Sidecar;
 use crate::format::write::{self, Existing, WriteError};
+use crate::kernel::KernelTaps;
+use crate::metric::Scores;
+use crate::preview::Preview;
 use crate::tile::TileShape;
 
 /// The files of a run.
@@ -19,7 +21,7 @@ pub struct OutputFiles {
     pub tile: PathBuf,
     /// Its provenance and scores: `NAME.json`.
     pub sidecar: PathBuf,
-    /// Its first frame and XT slice: `NAME.png`.
+    /// Its [picture](crate::preview): `NAME.png`.
     pub picture: PathBuf,
 }
 
@@ -63,7 +65,8 @@ impl OutputFiles {
     }
 
     /// Writes all, the tile first: array 0 of `tile`, in C order, which need never be whole here.
-    /// `sidecar` says where the tile comes from when its SHA-256 is known.
+    /// `sidecar` says where the tile comes from when its SHA-256 is known. The picture shows the
+    /// tile's error behind `kernel`, and its score if it has been scored.
     ///
     /// # Errors
     /// What the system or `tile` reports, and more or fewer coordinates than the shape has: then
@@ -72,10 +75,12 @@ impl OutputFiles {
         &self,
         shape: TileShape,
         tile: &dyn ArraySource,
+        kernel: &KernelTaps,
+        scores: Option<&Scores>,
         existing: Existing,
         sidecar: impl FnOnce(String) -> Sidecar,
     ) -> Result<(), WriteError> {
-        let preview = RefCell::new(Preview::new(shape));
+        let preview = RefCell::new(Preview::new(shape, kernel));
         let seen = |_: usize, sink: &mut dyn NumberSink| {
             tile.array(0, &mut |piece: &[f32]| {
                 preview.borrow_mut().take(piece);
@@ -90,7 +95,7 @@ impl OutputFiles {
             Ok(())
         })?;
         sidecar(digest).write(&self.sidecar, existing)?;
-        preview.into_inner().image().save(&self.picture, existing)
+        preview.into_inner().image(scores).save(&self.picture, existing)
     }
 }
 
@@ -101,9 +106,14 @@ mod tests {
     use sha2::{Digest, Sha256};
 
     use super::*;
-    use crate::format::picture::preview;
     use crate::format::sidecar;
-    use crate::metric::Baseline;
+    use crate::kernel::KernelSpec;
+    use crate::metric::{Baseline, ScoreOptions};
+
+    fn kernel() -> KernelTaps {
+        let spec: KernelSpec = "box(2)".parse().unwrap();
+        spec.resolve_without_tile().unwrap().classes()[0].taps.clone()
+    }
 
     fn provenance(shape: TileShape, sha256: String) -> Sidecar {
         Sidecar {
@@ -138,7 +148,8 @@ mod tests {
         let shape = TileShape::new(7, 5, 3, 2, 3).unwrap();
         let tile = Baseline::White.tile(shape, 4);
         let write = |sha256| provenance(shape, sha256);
-        outputs("tile.npy").write(tile.shape(), &tile, Existing::Keep, write).unwrap();
+        let tile_files = outputs("tile.npy");
+        tile_files.write(shape, &tile, &kernel(), None, Existing::Keep, write).unwrap();
         drop(claims);
         let error = outputs("tile.npy").claim(Existing::Keep).unwrap_err();
         assert!(matches!(error, WriteError::Exists { .. }), "{error}");
@@ -160,7 +171,10 @@ mod tests {
             })
         };
         let (whole, read) = files("whole.npy");
-        whole.write(shape, &tile, Existing::Keep, |sha256| provenance(shape, sha256)).unwrap();
+        let kernel = kernel();
+        let scores = Scores::of(&tile, &kernel, ScoreOptions { set: 0, integrands: 2 }).unwrap();
+        let sidecar = |sha256| provenance(shape, sha256);
+        whole.write(shape, &tile, &kernel, Some(&scores), Existing::Keep, sidecar).unwrap();
         let expected = read();
         let mut npy = Vec::new();
         npy::write_tile(&tile, &mut npy).unwrap();
@@ -169,7 +183,9 @@ mod tests {
             Sha256::digest(&npy).iter().map(|byte| format!("{byte:02x}")).collect();
         assert_eq!(Sidecar::parse(&expected[1]).unwrap(), provenance(shape, digest));
         let mut png = Vec::new();
-        preview(&tile).encode(&mut png).unwrap();
+        let mut preview = Preview::new(shape, &kernel);
+        preview.take(tile.samples());
+        preview.image(Some(&scores)).encode(&mut png).unwrap();
         assert_eq!(expected[2], png);
 
         for size in [1, 13, 100, shape.coordinates() + 1] {
@@ -177,9 +193,7 @@ mod tests {
             let pieces = |_: usize, sink: &mut dyn NumberSink| {
                 tile.samples().chunks(size).try_for_each(|piece| sink.put(piece))
             };
-            outputs
-                .write(shape, &pieces, Existing::Keep, |sha256| provenance(shape, sha256))
-                .unwrap();
+            outputs.write(shape, &pieces, &kernel, Some(&scores), Existing::Keep, sidecar).unwrap();
             assert_eq!(read(), expected);
         }
     }
@@ -199,8 +213,9 @@ mod tests {
                 sink.put(&vec![0.5; count])?;
                 if fails { Err(io::Error::other("the others are gone")) } else { Ok(()) }
             };
-            let error =
-                outputs.write(shape, &pieces, Existing::Keep, |_| panic!("no tile")).unwrap_err();
+            let error = outputs
+                .write(shape, &pieces, &kernel(), None, Existing::Keep, |_| panic!("no tile"))
+                .unwrap_err();
             assert!(error.to_string().contains(part), "{error}");
             assert!(error.to_string().contains("tile.npy"), "{error}");
             assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);

@@ -5,12 +5,13 @@ use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
 use perceptile::format::npy;
-use perceptile::format::picture::preview;
 use perceptile::format::png::{self, Depth, PixelFormat, Raster};
 use perceptile::format::sidecar::{self, Sidecar};
 use perceptile::format::slices::{SliceOptions, slice_paths, write_slices};
 use perceptile::format::source::{SourceError, TileSource};
 use perceptile::format::write::{self, Existing, WriteError};
+use perceptile::kernel::KernelSpec;
+use perceptile::preview::Preview;
 use perceptile::tile::{BELOW_ONE, Tile, TileShape};
 use proptest::prelude::*;
 
@@ -445,10 +446,15 @@ fn what_is_no_tile_is_refused_by_name() {
 }
 
 #[test]
-fn a_preview_is_saved_as_it_was_drawn() {
+fn the_picture_of_a_tile_is_saved_as_it_was_drawn() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("preview.png");
-    let picture = preview(&scattered(shape(16, 8, 12, 1, 2)));
+    let tile = scattered(shape(16, 8, 12, 1, 2));
+    let spec: KernelSpec = "gaussian(1) @ 3x3x1".parse().unwrap();
+    let kernel = spec.resolve(tile.shape()).unwrap();
+    let mut preview = Preview::new(tile.shape(), &kernel.classes()[0].taps);
+    preview.take(tile.samples());
+    let picture = preview.image(None);
     picture.save(&path, Existing::Keep).unwrap();
     let bytes = fs::read(&path).unwrap();
     let raster = png::decode(Cursor::new(&bytes), bytes.len() as u64).unwrap();
