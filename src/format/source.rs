@@ -10,6 +10,7 @@ use std::path::{Path, PathBuf};
 use thiserror::Error;
 
 use super::npy::{self, NpyError};
+use super::picture::PREVIEW;
 use super::png::{self, Channel, Channels, PixelFormat, PngError, Raster};
 use super::series::{Series, SeriesError, SeriesLayout};
 use super::slices::is_png;
@@ -100,6 +101,14 @@ pub enum SourceError {
         /// The dimension that follows those of the file before.
         expected: usize,
     },
+    /// The picture that is written beside a tile.
+    #[error("{} is the picture of a tile, not a tile{}", path.display(), instead(tile.as_deref()))]
+    Preview {
+        /// The picture.
+        path: PathBuf,
+        /// Its tile, if that is beside it.
+        tile: Option<PathBuf>,
+    },
     /// A strip that cannot be cut into slices as asked.
     #[error(
         "cannot read {}: a strip of {width}x{height} pixels is no whole number of slices of {slice}",
@@ -154,6 +163,11 @@ pub enum SourceError {
         /// The tile that it would be.
         shape: TileShape,
     },
+}
+
+/// What to give in place of a picture, if it is known.
+fn instead(tile: Option<&Path>) -> String {
+    tile.map_or_else(String::new, |tile| format!(": give {}", tile.display()))
 }
 
 /// Where a tile is read from, and what its file does not say itself.
@@ -237,7 +251,12 @@ impl TileSource {
             .expect("coordinates of a tile make a tile"))
     }
 
-    fn read_strip(&self, file: BufReader<File>, bytes: u64) -> Result<Tile, SourceError> {
+    fn read_strip(&self, mut file: BufReader<File>, bytes: u64) -> Result<Tile, SourceError> {
+        if png::software(&mut file).is_some_and(|software| software == PREVIEW) {
+            let tile = Some(self.path.with_extension("npy")).filter(|tile| tile.is_file());
+            return Err(SourceError::Preview { path: self.path.clone(), tile });
+        }
+        file.rewind().map_err(self.io())?;
         let strip = decode(&self.path, file, bytes)?;
         let spp = self.spp.unwrap_or(1);
         let (height, slice) = match self.frames {

@@ -446,7 +446,7 @@ fn what_is_no_tile_is_refused_by_name() {
 }
 
 #[test]
-fn the_picture_of_a_tile_is_saved_as_it_was_drawn() {
+fn the_picture_of_a_tile_is_saved_as_it_was_drawn_and_is_no_tile() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("preview.png");
     let tile = scattered(shape(16, 8, 12, 1, 2));
@@ -461,6 +461,18 @@ fn the_picture_of_a_tile_is_saved_as_it_was_drawn() {
     assert_eq!((raster.width, raster.height), (picture.width(), picture.height()));
     assert_eq!(raster.layout, PixelFormat::Rgb);
     assert!(raster.levels.iter().zip(picture.data()).all(|(&a, &b)| a == u16::from(b)));
+    // However it is to be cut.
+    let refuse = |frames| {
+        let error = TileSource { frames, ..TileSource::new(&path) }.read().unwrap_err();
+        assert!(matches!(error, SourceError::Preview { .. }), "{error}");
+        error.to_string()
+    };
+    for frames in [None, Some(1)] {
+        assert!(refuse(frames).ends_with("preview.png is the picture of a tile, not a tile"));
+    }
+    fs::write(folder.path().join("preview.npy"), npy_bytes(&tile)).unwrap();
+    let words = refuse(None);
+    assert!(words.contains("not a tile: give ") && words.ends_with("preview.npy"), "{words}");
 }
 
 #[test]
