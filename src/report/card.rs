@@ -37,8 +37,10 @@ pub(super) struct Card {
     pub slices: [Shown; 3],
     /// XY and XT spectrum, each with the window over it.
     pub spectra: [KernelWindow; 2],
-    /// Power by distance from frequency 0: XY, XT, and the window along x.
-    pub radial: [PlotLine; 3],
+    /// Power by distance from frequency 0: XY and XT.
+    pub rings: [PlotLine; 2],
+    /// How much of it the kernel lets pass along x.
+    pub kernel_power: PlotLine,
     pub pairs: Vec<(PairHistogram, Shown)>,
     /// Shares of the intervals of each coordinate, as lines.
     pub marginals: Vec<PlotLine>,
@@ -99,8 +101,8 @@ impl Card {
                 Ok((pair, shown))
             })
             .collect::<Result<_, ReportError>>()?;
+        let title = entry.path.as_ref().map_or(WHITE, |_| &entry.name).to_owned();
         Ok(Self {
-            title: entry.path.as_ref().map_or(WHITE, |_| &entry.name).to_owned(),
             part,
             provenance: Provenance::of(entry.path.as_deref()),
             slices: [
@@ -109,9 +111,11 @@ impl Card {
                 save("column", &pictures::slice(tile, Slice::Yt))?,
             ],
             spectra: [xy, xt],
-            radial: [rings("XY", &xy_rings), rings("XT", &xt_rings), window_along_x(kernel)],
+            rings: [rings(&title, &xy_rings), rings(&title, &xt_rings)],
+            kernel_power: power_along_x(kernel),
             pairs,
             marginals: marginals(tile, BINS).iter().enumerate().map(steps).collect(),
+            title,
             entry,
         })
     }
@@ -165,7 +169,7 @@ fn rings(name: &str, rings: &[Ring]) -> PlotLine {
 }
 
 /// |ĝ|² along x, relative to its largest value.
-fn window_along_x(kernel: &KernelTaps) -> PlotLine {
+fn power_along_x(kernel: &KernelTaps) -> PlotLine {
     let response = Response::spatial(kernel, 2 * FREQUENCIES, 1);
     let peak = response.magnitude.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
     let point = |i: usize| {
@@ -173,7 +177,7 @@ fn window_along_x(kernel: &KernelTaps) -> PlotLine {
         [i as f64 / (2 * FREQUENCIES) as f64, (part * part).max(LEAST_POWER)]
     };
     let points = (0..=FREQUENCIES).map(point).collect();
-    PlotLine { name: "window |ĝ|² along x".into(), points, band: Vec::new() }
+    PlotLine { name: "kernel’s power |ĝ|² (along x)".into(), points, band: Vec::new() }
 }
 
 /// The shares of a coordinate's intervals as steps.
@@ -224,7 +228,7 @@ mod tests {
         let series = steps((3, &vec![1.0, 2.0]));
         assert_eq!(series.points, [[0.0, 1.0], [0.5, 1.0], [0.5, 2.0], [1.0, 2.0]]);
         let taps = gaussian();
-        let points = window_along_x(&taps).points;
+        let points = power_along_x(&taps).points;
         assert_eq!((points[0], points[points.len() - 1][0]), ([0.0, 1.0], 0.5));
     }
 }

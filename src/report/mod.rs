@@ -16,6 +16,7 @@ mod card;
 mod contour;
 mod error;
 mod folder;
+mod names;
 mod page;
 pub mod pictures;
 mod planes;

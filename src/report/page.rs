@@ -4,6 +4,7 @@
 
 mod scores;
 mod shots;
+mod spectra;
 mod tile;
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
@@ -12,6 +13,7 @@ use serde::Serialize;
 use super::ReportOptions;
 use super::card::Card;
 use super::folder::GENERATOR;
+use super::names::without_folders;
 use super::renders::Renders;
 use super::views::{View, Views};
 
@@ -80,10 +82,11 @@ pub(super) fn page(
                 style { (PreEscaped(STYLE)) (PreEscaped(VIEWER_STYLE)) }
             }
             body {
-                (header(options, &title, cards, renders))
+                (header(cards, renders))
                 main {
-                    (scores::section(options, cards))
                     (viewer(options, views, cards))
+                    (scores::section(options, cards))
+                    (spectra::section(cards))
                     section aria-labelledby="tiles" {
                         h2 #tiles { "Tiles" }
                         @for (number, card) in cards.iter().enumerate() {
@@ -93,6 +96,7 @@ pub(super) fn page(
                     @if let Some(renders) = renders {
                         (shots::section(renders))
                     }
+                    (making(options, cards))
                     (help())
                 }
                 footer {
@@ -109,20 +113,37 @@ pub(super) fn page(
     markup.into_string()
 }
 
-fn header(
-    options: &ReportOptions,
-    title: &str,
-    cards: &[Card],
-    renders: Option<&Renders>,
-) -> Markup {
-    let scores = options.scores;
+fn header(cards: &[Card], renders: Option<&Renders>) -> Markup {
     html! {
         header {
             div.top {
                 h1 { "Perceptile report" }
                 button #theme type="button" hidden { "Dark theme" }
             }
-            p.lede { (title) ": the error that is seen, against white noise" }
+            (scores::verdict(cards))
+            nav aria-label="Contents" {
+                ul {
+                    li { a href="#viewer" { "Viewer" } }
+                    li { a href="#scores" { "Scores" } }
+                    li { a href="#spectra" { "Spectra" } }
+                    li { a href="#tiles" { "Tiles" } }
+                    @if renders.is_some() {
+                        li { a href="#renders" { "Renders" } }
+                    }
+                    li { a href="#making" { "How it was made" } }
+                    li { a href="#help" { "How to read this" } }
+                }
+            }
+        }
+    }
+}
+
+/// What the report was made of and with.
+fn making(options: &ReportOptions, cards: &[Card]) -> Markup {
+    let scores = options.scores;
+    html! {
+        section aria-labelledby="making" {
+            h2 #making { "How this report was made" }
             dl.facts {
                 dt { "Tiles" }
                 dd {
@@ -133,7 +154,7 @@ fn header(
                 }
                 dt { "Kernel" }
                 dd {
-                    code { (options.kernel.to_string()) }
+                    code { (without_folders(&options.kernel.to_string())) }
                     @if options.kernel.classes().len() > 1 { " (its first class)" }
                 }
                 dt { "Frame rate" }
@@ -141,19 +162,10 @@ fn header(
                 dt { "Integrands" }
                 dd { (scores.integrands) " of each class, set " (scores.set) }
             }
-            p.muted { "The command that makes this report again, where OUT is its folder:" }
-            (command("report-command", &options.command))
-            nav aria-label="Contents" {
-                ul {
-                    li { a href="#scores" { "Scores" } }
-                    li { a href="#viewer" { "Viewer" } }
-                    li { a href="#tiles" { "Tiles" } }
-                    @if renders.is_some() {
-                        li { a href="#renders" { "Renders" } }
-                    }
-                    li { a href="#help" { "How to read this" } }
-                }
+            p.muted {
+                "The command that makes it again, where the files are, as the folder OUT:"
             }
+            (command("report-command", &without_folders(&options.command)))
         }
     }
 }
@@ -196,7 +208,7 @@ fn viewer(options: &ReportOptions, views: &Views, cards: &[Card]) -> Markup {
             @for view in &views.shown {
                 @if let Some(text) = &view.text {
                     dt { (view.name) }
-                    dd { code { (text) } }
+                    dd { code { (without_folders(text)) } }
                 }
             }
         }
@@ -212,17 +224,6 @@ fn data(id: &str, content: &impl Serialize) -> Markup {
     let json = serde_json::to_string(content).unwrap_or_else(|_| "null".to_owned());
     html! {
         script type="application/json" id=(id) { (PreEscaped(json.replace('<', "\\u003c"))) }
-    }
-}
-
-/// A number with three significant digits.
-fn figure(value: f64) -> String {
-    let scientific = format!("{value:.2e}");
-    let exponent = scientific.split('e').nth(1).and_then(|digits| digits.parse::<i32>().ok());
-    match exponent {
-        _ if value == 0.0 => "0".to_owned(),
-        Some(exponent @ -4..6) => format!("{value:.*}", (2 - exponent).max(0) as usize),
-        _ => scientific,
     }
 }
 
@@ -262,12 +263,12 @@ fn help() -> Markup {
                  time across. Good tiles look restless everywhere: patches and stripes are error \
                  that is seen."
             }
-            h3 { "Spectra and the window of visibility" }
+            h3 { "Spectra and the kernel’s window" }
             p {
                 "A spectrum shows how much of the error is coarse (near the middle) or fine (far \
-                 from it); bright is much, mid-gray is white noise. The lines are the window of \
-                 visibility: inside, the kernel lets error pass, outside it is blended away. A good \
-                 tile is dark inside the window and pays for it outside."
+                 from it); bright is much, mid-gray is white noise. The lines are the kernel’s \
+                 window: inside, it lets error pass, outside, error is blended away. A good tile \
+                 is dark inside the window and pays for it outside."
             }
         }
     }
@@ -276,23 +277,6 @@ fn help() -> Markup {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn numbers_have_three_digits() {
-        for (value, text) in [
-            (0.0, "0"),
-            (0.114_09, "0.114"),
-            (0.000_285, "0.000285"),
-            (0.000_028_51, "2.85e-5"),
-            (0.9996, "1.00"),
-            (1.5, "1.50"),
-            (-12.34, "-12.3"),
-            (123_456.0, "123456"),
-            (1.5e9, "1.50e9"),
-        ] {
-            assert_eq!(figure(value), text);
-        }
-    }
 
     #[test]
     fn no_text_ends_the_data_or_a_script() {

@@ -2,7 +2,8 @@
 
 use std::path::Path;
 
-use crate::format::sidecar::{Sidecar, SidecarError, file_digest};
+use super::names::file_name;
+use crate::format::sidecar::{Sidecar, file_digest};
 
 /// Where a tile comes from.
 #[derive(Debug)]
@@ -11,8 +12,8 @@ pub(super) enum Provenance {
     Comparison,
     /// No sidecar is beside the tile.
     Unknown,
-    /// There is one that cannot be read.
-    Unreadable(SidecarError),
+    /// There is one that cannot be used, for this reason.
+    Unreadable(String),
     /// The sidecar, and whether the tile's file is the one that it describes.
     Known(Box<Sidecar>, Match),
 }
@@ -38,7 +39,10 @@ impl Provenance {
             return Self::Unknown;
         }
         match Sidecar::read(&path) {
-            Err(error) => Self::Unreadable(error),
+            Err(error) => {
+                let whole = path.display().to_string();
+                Self::Unreadable(error.to_string().replace(&whole, &file_name(&path)))
+            }
             Ok(sidecar) => {
                 let same = match file_digest(tile) {
                     Ok(digest) if digest == sidecar.sha256 => Match::Same,

@@ -267,6 +267,52 @@ fn provenance_is_that_of_the_sidecar() {
     assert!(page.contains("the file does not match") && !page.contains("still matches"));
 }
 
+#[test]
+fn the_viewer_comes_first_and_one_line_says_what_came_of_it() {
+    let room = Room::new();
+    room.save("a.npy", shape(2), 1);
+    room.save("b.npy", shape(2), 2);
+    let page = room.report(&["out", "a.npy", "b.npy"]);
+    let places = ["p class=\"verdict\"", "id=\"viewer\"", "id=\"scores\"", "id=\"spectra\"", "id=\"tiles\""];
+    let places = places.map(|mark| page.find(mark).unwrap_or_else(|| panic!("no {mark}")));
+    assert!(places.is_sorted(), "{places:?}");
+    let verdict = between(&page, "<p class=\"verdict\">", "</p>");
+    assert!(verdict.contains("<strong>a</strong>") && verdict.contains("<strong>b</strong>"));
+    assert_eq!(verdict.matches("data-value").count(), 2, "white noise has 1");
+    // All spectra stand in one row, and all lines in one plot for each plane.
+    let row = between(&page, "class=\"pictures spectra\"", "class=\"plots\"");
+    assert_eq!(row.matches("<figure>").count(), 3);
+    let plots = between(&page, "class=\"plots\"", "</section>");
+    assert_eq!(plots.matches("kernel’s power |ĝ|² (along x)</li>").count(), 2);
+    for old in ["fineness", "emptiest", "window |"] {
+        assert!(!page.contains(old), "{old}");
+    }
+}
+
+#[test]
+fn no_folder_of_this_machine_is_in_a_report() {
+    let room = Room::new();
+    fs::create_dir(room.at("my tiles")).unwrap();
+    let tile = room.at("my tiles/a.npy");
+    let make = ["--tile", "12x10x6", "--kernel", KERNEL, "--steps", "1", "--draws", "8"];
+    room.save("my tiles/start.npy", shape(2), 1);
+    let start = room.at("my tiles/start.npy");
+    let [tile, start] = [&tile, &start].map(|path| path.to_str().unwrap());
+    let line = ["optimize", "--out", tile, "--start", start, "--integrands", "0"];
+    room.succeed(&[&line[..], &make].concat());
+    room.save("my tiles/b.npy", shape(2), 2);
+    let bad = room.at("my tiles/b.npy");
+    fs::create_dir(room.at("my tiles/b.json")).unwrap();
+    let page = room.report(&["out", tile, bad.to_str().unwrap()]);
+    for part in ["my tiles", room.0.path().to_str().unwrap()] {
+        assert!(!page.contains(part), "{part}");
+    }
+    let command = between(&page, "id=\"report-command\">", "</pre>");
+    assert!(command.starts_with("perceptile report OUT 'a.npy' 'b.npy' --kernel"), "{command}");
+    assert!(between(&page, "id=\"tile-0-command\">", "</pre>").contains("start.npy"));
+    assert!(page.contains("cannot read b.json"));
+}
+
 /// Renders whose every text tries to be markup.
 fn hostile() -> Value {
     let evil = |name: &str| format!("{name}</script><script>alert('&\"')</script><!--");

@@ -6,8 +6,7 @@ use maud::{Markup, html};
 
 use super::super::ReportOptions;
 use super::super::card::Card;
-use super::figure;
-use crate::metric::{Class, ClassScore, Domain, Ratio, ScoredTile, Scores, ShownScore};
+use crate::metric::{Class, ClassScore, Domain, Ratio, ScoredTile, Scores, ShownScore, figure};
 
 /// One figure of a whole tile.
 type WholeFigure = fn(&Scores) -> f64;
@@ -15,8 +14,8 @@ type WholeFigure = fn(&Scores) -> f64;
 /// The figures of a whole tile: heading, pointer within its scores, value.
 const WHOLE: [(&str, &str, WholeFigure); 5] = [
     ("bias·√N", "bias", |scores| scores.bias),
-    ("emptiest cell", "histogram/smallest", |scores| scores.histogram.smallest),
-    ("fullest cell", "histogram/largest", |scores| scores.histogram.largest),
+    ("lowest cell", "histogram/smallest", |scores| scores.histogram.smallest),
+    ("highest cell", "histogram/largest", |scores| scores.histogram.largest),
     ("histogram rms", "histogram/rms", |scores| scores.histogram.rms),
     ("residual", "residual", |scores| scores.residual),
 ];
@@ -31,6 +30,28 @@ const MEASURES: [(&str, &str, Measure); 4] = [
     ("whole period", "whole_period", |class| Some(class.whole_period)),
     ("whole period, perceived", "whole_period_perceived", |class| class.whole_period_perceived),
 ];
+
+/// What comes of it all, in one line: the error on edges, which tells tiles apart best.
+pub(super) fn verdict(cards: &[Card]) -> Markup {
+    let edge = |card: &Card| {
+        let scores = &card.entry.scores;
+        let found = scores.class(Class::Edge, Domain::All)?.perceived;
+        let pointer = format!("/scores/{}/perceived/mean", place(scores, Class::Edge, Domain::All));
+        Some(number(&card.entry, &pointer, found.mean))
+    };
+    let read = cards.iter().filter(|card| card.entry.path.is_some());
+    html! {
+        p.verdict {
+            @for (i, card) in read.enumerate() {
+                @if let Some(edge) = edge(card) {
+                    @if i > 0 { ", " }
+                    strong { (card.title) } " has " (edge)
+                }
+            }
+            " of white noise’s perceived error on edges."
+        }
+    }
+}
 
 /// The scores of all tiles.
 pub(super) fn section(options: &ReportOptions, cards: &[Card]) -> Markup {

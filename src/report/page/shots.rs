@@ -6,7 +6,8 @@ use super::super::plot::{Plot, PlotAxis, PlotLine};
 use super::super::renders::{
     CurveData, Curves, Figure, Renders, Scene, TableCell, TableData, place,
 };
-use super::{command, data, figure};
+use super::{command, data};
+use crate::metric::figure;
 
 /// Everything about the renders.
 pub(super) fn section(renders: &Renders) -> Markup {

@@ -2,12 +2,14 @@
 
 use maud::{Markup, html};
 
-use super::super::card::{Card, KernelWindow, Shown};
+use super::super::card::{Card, Shown};
+use super::super::names::{file_name, without_folders};
 use super::super::pictures::{FULL, MOST};
 use super::super::plot::{Plot, PlotAxis, PlotLine};
 use super::super::provenance::{Match, Provenance};
-use super::{command, figure, scores, zoom};
+use super::{command, scores, zoom};
 use crate::format::sidecar::Sidecar;
+use crate::metric::figure;
 
 /// Histograms of pairs that are shown without asking for more.
 const PAIRS: usize = 6;
@@ -22,7 +24,7 @@ pub(super) fn article(number: usize, card: &Card) -> Markup {
             h3 #{ "tile-" (number) "-name" } { (card.title) }
             p.muted {
                 (shape.to_string())
-                @if let Some(path) = &card.entry.path { ", " code { (path.display().to_string()) } }
+                @if let Some(path) = &card.entry.path { ", " code { (file_name(path)) } }
             }
             h4 { "Samples" }
             @if large {
@@ -37,36 +39,25 @@ pub(super) fn article(number: usize, card: &Card) -> Markup {
                     figure { (pixels(slice, factor, caption, &card.title)) figcaption { (caption) } }
                 }
             }
-            h4 { "Spectra of the error" }
-            p.muted {
-                "Mean over the classes of functions that read all dimensions. Brightness is \
-                 amplitude, white noise's is mid-gray. Lines: the kernel's window of visibility, \
-                 half of its largest amplitude (solid) and 20 dB below it (dashed)."
-            }
-            div.pictures {
-                @for (window, caption) in card.spectra.iter().zip([
-                    "XY, mean over all frames; the window is that of temporal frequency 0",
-                    "XT, mean over all rows, temporal frequency down; the window is that of vertical frequency 0",
-                ]) {
-                    figure { (spectrum(window, caption, &card.title)) figcaption { (caption) } }
+            div.columns {
+                div { (histograms(number, card)) }
+                div {
+                    @if let Some(plot) = convergence(card) {
+                        h4 { "Convergence" }
+                        p.muted {
+                            "What the draws of single steps found before they moved the samples. \
+                             The polish and the uniformity step come after it."
+                        }
+                        (plot.markup(&format!("convergence-{number}")))
+                    }
+                    h4 { "Where it comes from" }
+                    (provenance(number, card))
                 }
             }
-            (radial(number, card))
-            (histograms(number, card))
             details {
                 summary { "All scores of " (card.title) }
                 (scores::of_tile(&card.entry))
             }
-            @if let Some(plot) = convergence(card) {
-                h4 { "Convergence" }
-                p.muted {
-                    "What the draws of single steps found before they moved the samples. The \
-                     polish and the uniformity step come after it."
-                }
-                (plot.markup(&format!("convergence-{number}")))
-            }
-            h4 { "Where it comes from" }
-            (provenance(number, card))
         }
     }
 }
@@ -80,41 +71,6 @@ fn pixels(shown: &Shown, factor: usize, caption: &str, title: &str) -> Markup {
                 style={ "width:" (shown.width * factor) "px" };
         }
     }
-}
-
-fn spectrum(window: &KernelWindow, caption: &str, title: &str) -> Markup {
-    let Shown { file, width, height } = &window.picture;
-    let factor = zoom(*width, *height);
-    let [half, far] = &window.contours;
-    html! {
-        div.scroll tabindex="0" role="region" aria-label={ "Spectrum " (caption) ", " (title) } {
-            div.window style={ "width:" (width * factor) "px" } {
-                img.pixels src=(file) width=(width) height=(height) loading="lazy"
-                    alt={ "Spectrum of the error of " (title) ": " (caption) }
-                    style={ "width:" (width * factor) "px" };
-                svg viewBox={ "0 0 " (width) " " (height) } preserveAspectRatio="none"
-                    role="img" aria-label="Window of visibility" {
-                    path.case d={ (half) (far) } {}
-                    path.half d=(half) {}
-                    path.far d=(far) {}
-                }
-            }
-        }
-    }
-}
-
-fn radial(number: usize, card: &Card) -> Markup {
-    Plot {
-        title: format!("{}: error by fineness", card.title),
-        x: PlotAxis {
-            label: "distance from frequency 0, cycles per pixel or frame".into(),
-            log: false,
-            shows: vec![0.0],
-        },
-        y: PlotAxis { label: "power, white noise is 1".into(), log: true, shows: vec![1.0] },
-        series: card.radial.to_vec(),
-    }
-    .markup(&format!("radial-{number}"))
 }
 
 /// How the descent went, if the tile's provenance says so.
@@ -190,7 +146,7 @@ fn provenance(number: usize, card: &Card) -> Markup {
             p { "There is no sidecar beside this tile: where it comes from is not known." }
         },
         Provenance::Unreadable(error) => html! {
-            p { "The sidecar beside this tile cannot be used: " (error.to_string()) "." }
+            p { "The sidecar beside this tile cannot be used: " (error) "." }
         },
         Provenance::Known(sidecar, same) => known(number, sidecar, *same),
     }
@@ -209,13 +165,13 @@ fn known(number: usize, sidecar: &Sidecar, same: Match) -> Markup {
             dt { "Finished" }
             dd { (sidecar.created) ", after " (figure(sidecar.seconds)) " s" }
             dt { "Kernel" }
-            dd { code { (sidecar.kernel) } }
+            dd { code { (without_folders(&sidecar.kernel)) } }
             dt { "Seed" }
             dd { (sidecar.seed) }
             dt { "SHA-256" }
             dd { code { (sidecar.sha256) } br; strong { (verdict) } }
         }
         p.muted { "The command that makes it again:" }
-        (command(&format!("tile-{number}-command"), &sidecar.command))
+        (command(&format!("tile-{number}-command"), &without_folders(&sidecar.command)))
     }
 }

@@ -42,10 +42,10 @@
     }
   }
 
-  /** A ratio in three digits. */
+  /** A ratio in three significant digits, and never in powers of ten where it is large. */
   function ratioText(ratio) {
     if (!Number.isFinite(ratio)) return '–';
-    return ratio < 1 ? ratio.toPrecision(ratio < 0.1 ? 2 : 3) : ratio.toFixed(2);
+    return ratio < 100 ? ratio.toPrecision(3) : ratio.toFixed(0);
   }
 
   class Pane {
@@ -131,6 +131,7 @@
       const size = `${width} × ${height} × ${frames}${samples}${whole ? '' : ', part of the tile'}${wraps ? ', ends wrap' : ''}`;
       this.note.textContent = failure ? `No picture: ${failure}` : size;
       this.note.classList.toggle('pv-failure', failure !== '');
+      this.canvas.classList.toggle('pv-none', failure !== '');
     }
 
     /**

@@ -61,7 +61,7 @@
     ['G  S  F', 'grid, swipe, flicker'],
     ['T', 'the other picture (flicker)'],
     ['+  −  0', 'zoom in, out, back to the start'],
-    ['?', 'this help'],
+    ['?', 'this help, anywhere on the page'],
     ['On a picture', 'drag or arrow keys move it, pinch or wheel zooms (click it first, or hold Ctrl)'],
     ['On the divider', 'drag, arrow keys, Page Up and Down, Home, End'],
   ];
@@ -113,8 +113,7 @@
       );
 
       this.build();
-      this.addPane(0);
-      if (this.tiles.length > 1) this.addPane(this.tiles.length - 1);
+      this.firstTiles().forEach((tile) => this.addPane(tile));
       this.arrange();
       this.sync();
       this.watch();
@@ -156,6 +155,8 @@
         ),
       );
       this.root.addEventListener('keydown', (event) => this.key(event));
+      // Who looks for the keys has mostly not found the viewer yet.
+      document.addEventListener('keydown', (event) => this.keyAnywhere(event));
     }
 
     makeHelp() {
@@ -293,6 +294,12 @@
       this.sync();
     }
 
+    /** The tiles that are shown at first: as many as there is room for, the last one, white noise, among them. */
+    firstTiles() {
+      const all = this.tiles.map((_, tile) => tile);
+      return all.length > MOST_PANES ? [...all.slice(0, MOST_PANES - 1), all.at(-1)] : all;
+    }
+
     addPane(tile) {
       const pane = new Pane(
         this.tiles,
@@ -341,12 +348,19 @@
         '+': () => this.camera.zoomTo(this.camera.zoom + 1),
         '-': () => this.camera.zoomTo(this.camera.zoom - 1),
         0: () => this.resetCamera(),
-        '?': () => this.helpPanel.togglePopover(),
       };
       const action = view >= 0 && view < this.views.length ? () => this.setView(view) : actions[key.toLowerCase()] ?? actions[key];
       if (!action) return;
       event.preventDefault();
       action();
+    }
+
+    /** Opens and closes the list of keys, wherever on the page the focus is. */
+    keyAnywhere(event) {
+      const { key, target } = event;
+      if (key !== '?' || event.ctrlKey || event.metaKey || event.altKey || ownsKey(target, key)) return;
+      event.preventDefault();
+      this.helpPanel.togglePopover();
     }
 
     // --- Where things are -------------------------------------------------------------------
