@@ -6,6 +6,39 @@
 //! (SIGGRAPH Asia 2023): stochastic gradient descent with Adam on filtered sliced Wasserstein
 //! distances.
 //!
+//! ```
+//! use perceptile::{Optimizer, Preset, Tile};
+//!
+//! # let folder = tempfile::tempdir()?;
+//! # std::env::set_current_dir(&folder)?;
+//! let run = Optimizer::new(Preset::Quick)
+//!     .kernel("gaussian(2.1) * fovvideovdp(60) @ 7x7x8".parse()?)
+//!     .size(16, 16, 8)
+//!     .steps(50)
+//!     .seed(7)
+//!     .run()?;
+//! println!("{:#?}", run.scores()?);
+//! run.tile().save("tile.npy")?;
+//!
+//! let tile = Tile::load("tile.npy")?;
+//! let (x, y, frame, sample) = (1, 2, 3, 0);
+//! let point = tile.point(x, y, frame, sample);
+//! assert!(point.iter().all(|u| (0.0..1.0).contains(u)));
+//! # assert_eq!((tile.samples(), point.len()), (run.tile().samples(), 2));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! | to | begin at |
+//! |---|---|
+//! | make a tile | [`Optimizer`] with a [`Preset`]; more options are in [`Options`] |
+//! | watch it being made, or end that | [`Optimizer::observe`] |
+//! | say what the eye sees | [`Viewing`] (frame rate, temporal anti-aliasing, display), or a [`KernelSpec`] from text |
+//! | read and write tiles | [`Tile::load`], [`Tile::save`]; other files: [`format`](mod@format) |
+//! | read samples | [`Tile::point`], [`Tile::samples`] |
+//! | know how good a tile is | [`Run::scores`], [`Tile::scores`]; what the scores mean: [`metric`] |
+//!
+//! # How it works
+//!
 //! ```text
 //!  kernel ──► draw ──► gradient ──► solver ──► run ──► format      tile.npy, .json, .png
 //!  spec→taps  cells'    project,     patches    driver, files
@@ -24,21 +57,6 @@
 //! stands where it is done: rows in [`tile::Rows`], the stages of a draw in [`gradient`], sorting
 //! and transpositions in [`gradient::simd`], pages of memory in the solver; [`profile`] shows what
 //! comes of it.
-//!
-//! ```
-//! use perceptile::gradient::simd::Simd;
-//! use perceptile::run::{driver::optimize, observer::Unobserved};
-//! use perceptile::solver::Preset;
-//! use perceptile::tile::TileShape;
-//!
-//! let mut options = Preset::Quick.options();
-//! options.shape = TileShape::new(16, 16, 8, 1, 2)?;
-//! options.steps = 100;
-//! let (tile, summary) = optimize(&options, None, Simd::detect(), &mut Unobserved)?;
-//! assert_eq!(tile.samples().len(), 16 * 16 * 8 * 2);
-//! assert!(summary.objective_after < summary.objective_before);
-//! # Ok::<(), Box<dyn std::error::Error>>(())
-//! ```
 
 pub mod array;
 pub mod draw;
@@ -46,9 +64,25 @@ pub mod format;
 pub mod gradient;
 pub mod kernel;
 pub mod metric;
+mod optimizer;
 pub mod preview;
 pub mod profile;
 pub mod report;
 pub mod run;
 pub mod solver;
 pub mod tile;
+
+pub use draw::DrawOptions;
+pub use format::source::{SourceError, TileSource};
+pub use format::write::WriteError;
+pub use kernel::{KernelError, KernelSpec, ParseError, Viewing};
+pub use metric::{ScoreError, ScoreOptions, Scores};
+pub use optimizer::{OptimizeError, Optimizer, Run};
+pub use run::error::RunError;
+pub use run::memory::MemoryError;
+pub use run::observer::Progress;
+pub use solver::adam::AdamOptions;
+pub use solver::polish::PolishOptions;
+pub use solver::warp::WarpOptions;
+pub use solver::{Options, OptionsError, Phase, Preset, Start, StopReason, Summary};
+pub use tile::{ShapeError, Tile, TileError, TileShape};

@@ -226,24 +226,16 @@ impl Settings {
         let preset_size = TileSize([shape.width(), shape.height(), shape.frames()]);
         let size = self.tile.unwrap_or(preset_size);
         let (spp, dims) = (self.spp.unwrap_or(shape.spp()), self.dims.unwrap_or(shape.dims()));
-        options.shape = size.shape(spp, dims)?;
-        if let Some(steps) = self.steps.filter(|&steps| steps < options.steps) {
-            // Whoever asks for less work does not mean the polish to take longer than all of it.
-            let polish = u64::from(options.polish.steps) * u64::from(steps);
-            options.polish.steps = (polish / u64::from(options.steps)) as u32;
-        }
-        if spp > 1 || dims != 2 {
-            // The polish compares all pairs of samples and of dimensions: too slow to be a default.
-            options.polish.steps = 0;
+        options = options.with_shape(size.shape(spp, dims)?);
+        if let Some(steps) = self.steps {
+            options = options.with_steps(steps);
         }
         if self.viewing.is_given() {
             if self.kernel.is_some() {
                 let rule = "leave out --fps, --taa, --sigma and --pixels-per-degree";
                 return Err(Misuse(format!("--kernel says all of the kernel: {rule}")).into());
             }
-            let kernel = self.viewing.kernel(options.shape)?;
-            options.steps = for_as_long(&options, &kernel)?;
-            options.kernel = kernel;
+            options = options.watched(self.viewing.viewing()?)?;
         }
         let (start, tile) = match self.start.as_deref() {
             None => (options.start, None),
@@ -292,20 +284,6 @@ impl Settings {
             })
             .collect()
     }
-}
-
-/// As many steps as take as long with a kernel as the options' steps with the default one: what a draw
-/// costs is in proportion to its subset. With smaller subsets no more steps are done.
-///
-/// For 120 frames per second and TAA with α = 0.1 that is 6,800 steps instead of 16,000. A fifth of them
-/// raises the score of edges by 2.5 %, of bumps by 17 % (64×64×16, set 7).
-fn for_as_long(options: &Options, kernel: &KernelSpec) -> Result<u32, Failure> {
-    let subset = |kernel: &KernelSpec| -> Result<f64, Failure> {
-        Ok(kernel.resolve(options.shape)?.classes()[0].taps.mean_subset())
-    };
-    let default = ViewingArgs::default().kernel(options.shape)?;
-    let share = (subset(&default)? / subset(kernel)?).min(1.0);
-    Ok((f64::from(options.steps) * share).round() as u32)
 }
 
 #[cfg(test)]

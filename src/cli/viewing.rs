@@ -54,7 +54,11 @@ impl ViewingArgs {
         self.viewing()?.perceived(shape).map_err(refused)
     }
 
-    fn viewing(&self) -> Result<Viewing, Misuse> {
+    /// What the flags say, and the paper's where they do not.
+    ///
+    /// # Errors
+    /// Two values for sigma.
+    pub fn viewing(&self) -> Result<Viewing, Misuse> {
         let Self { fps, taa, sigma, pixels_per_degree } = *self;
         if sigma.is_some() && pixels_per_degree.is_some() {
             return Err(Misuse("--pixels-per-degree says sigma: leave out --sigma".into()));

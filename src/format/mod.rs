@@ -2,7 +2,8 @@
 //!
 //! Inwards, [`source`] recognises what a path holds and makes a [`Tile`](crate::tile::Tile) of
 //! it: our own and foreign `.npy` files ([`npy`]), PNG strips and folders of PNG slices
-//! ([`png`]; [`series`] puts the slices in order). Outwards, [`slices`] exports a tile as PNG
+//! ([`png`]; [`series`] puts the slices in order). `tile` gives [`Tile`](crate::tile::Tile) its own
+//! `load` and `save`. Outwards, [`slices`] exports a tile as PNG
 //! files, [`picture`] draws its preview, [`sidecar`] records where it came from, and all of them
 //! write through [`write`](mod@write), which never loses an existing file; [`claim`] keeps others
 //! from the same output meanwhile, and [`unfinished`] knows what must go should the process end at
@@ -25,5 +26,6 @@ pub mod series;
 pub mod sidecar;
 pub mod slices;
 pub mod source;
+mod tile;
 pub mod unfinished;
 pub mod write;

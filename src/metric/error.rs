@@ -2,14 +2,18 @@
 
 use thiserror::Error;
 
+use crate::kernel::KernelError;
 use crate::tile::TileShape;
 
 /// Most integrands of a class.
 pub(super) const MOST_INTEGRANDS: usize = 1 << 16;
 
 /// Why a tile cannot be scored.
-#[derive(Debug, Error, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Error, Clone, PartialEq)]
 pub enum ScoreError {
+    /// The kernel cannot be made for the tile.
+    #[error(transparent)]
+    Spec(#[from] KernelError),
     /// The kernel is wider than the tile.
     #[error(
         "the kernel spans {extent} in {axis}, but the tile only {size}: it must not be wider than the tile"

@@ -16,7 +16,7 @@ use super::error::{MOST_INTEGRANDS, ScoreError};
 use super::integrand::{Class, Domain, Integrand, IntegrandSet, integrand_sets};
 use super::perceived::Perceived;
 use super::uniformity::{Histogram, histogram, residual};
-use crate::kernel::KernelTaps;
+use crate::kernel::{KernelSpec, KernelTaps};
 use crate::tile::{Tile, TileShape};
 
 /// Which integrands a tile is scored on.
@@ -124,6 +124,29 @@ impl Scores {
     /// The score of one class, if the tile has that domain.
     pub fn class(&self, class: Class, domain: Domain) -> Option<&ClassScore> {
         self.classes.iter().find(|score| score.class == class && score.domain == domain)
+    }
+}
+
+impl Tile {
+    /// Scores the tile through a kernel, of a mixture through its first class, on the integrands
+    /// of [`ScoreOptions::default`], as the command does. [`Scores::of`] takes others.
+    ///
+    /// ```
+    /// use perceptile::metric::{Baseline, Class, Domain};
+    /// use perceptile::TileShape;
+    ///
+    /// let noise = Baseline::White.tile(TileShape::new(32, 32, 8, 1, 2)?, 1);
+    /// let scores = noise.scores(&"gaussian(2.1) * ema(0.2) @ 7x7x8".parse()?)?;
+    /// let edges = scores.class(Class::Edge, Domain::All).expect("a class of every tile");
+    /// assert!((edges.perceived.mean - 1.0).abs() < 0.2, "white noise has 1, lower is better");
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
+    /// # Errors
+    /// A kernel that cannot be made, or that is wider than the tile.
+    pub fn scores(&self, kernel: &KernelSpec) -> Result<Scores, ScoreError> {
+        let kernel = kernel.resolve(self.shape())?;
+        Scores::of(self, &kernel.classes()[0].taps, ScoreOptions::default())
     }
 }
 

@@ -36,7 +36,7 @@ pub enum StopReason {
     Completed,
     /// The number of steps to stop after was reached.
     StopAfter,
-    /// A signal asked for it.
+    /// A signal or an observer asked for it.
     Interrupted,
     /// The time was up.
     Time,

@@ -12,6 +12,8 @@ mod format;
 mod gradient;
 #[cfg(target_os = "linux")]
 mod launcher;
+#[cfg(target_os = "linux")]
+mod library;
 mod metric;
 mod profile;
 #[cfg(all(target_os = "linux", feature = "mpi"))]

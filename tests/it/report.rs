@@ -273,7 +273,8 @@ fn the_viewer_comes_first_and_one_line_says_what_came_of_it() {
     room.save("a.npy", shape(2), 1);
     room.save("b.npy", shape(2), 2);
     let page = room.report(&["out", "a.npy", "b.npy"]);
-    let places = ["p class=\"verdict\"", "id=\"viewer\"", "id=\"scores\"", "id=\"spectra\"", "id=\"tiles\""];
+    let places =
+        ["p class=\"verdict\"", "id=\"viewer\"", "id=\"scores\"", "id=\"spectra\"", "id=\"tiles\""];
     let places = places.map(|mark| page.find(mark).unwrap_or_else(|| panic!("no {mark}")));
     assert!(places.is_sorted(), "{places:?}");
     let verdict = between(&page, "<p class=\"verdict\">", "</p>");
