@@ -55,8 +55,14 @@
 //! board ([`perceptile_cluster`]). On a cluster each rank does so with a region of the tile
 //! ([`tile::Regions`]), and ranks send each other what their regions see of others. Why it is fast
 //! stands where it is done: rows in [`tile::Rows`], the stages of a draw in [`gradient`], sorting
-//! and transpositions in [`gradient::simd`], pages of memory in the solver; [`profile`] shows what
+//! and transpositions in [`gradient::simd`], pages of memory in the solver; `profile` shows what
 //! comes of it.
+//!
+//! # Features
+//!
+//! `cli`, on by default, is the command with all that only it needs, profiles and reports. Programs
+//! that make or read tiles set `default-features = false`, which leaves two thirds of the crates.
+//! `mpi` is for the command on clusters; it needs an MPI library.
 
 pub mod array;
 pub mod draw;
@@ -66,7 +72,9 @@ pub mod kernel;
 pub mod metric;
 mod optimizer;
 pub mod preview;
+#[cfg(feature = "cli")]
 pub mod profile;
+#[cfg(feature = "cli")]
 pub mod report;
 pub mod run;
 pub mod solver;

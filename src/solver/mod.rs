@@ -25,12 +25,15 @@ mod summary;
 pub mod warp;
 
 pub use halo::HaloTraffic;
+// The profile looks at them, which comes with the command.
+#[cfg(feature = "cli")]
 pub(crate) use halo::{GradientHalo, ROWS_AT_A_TIME, SampleHalo};
 pub use options::{MAX_POLISH_TAPS, Options, OptionsError, Preset, Start};
 pub use parallelism::{BLOCKS_PER_THREAD, Parallelism};
 pub use samples::Samples;
 pub use state::SharedSnapshot;
 pub use step::Descent;
+#[cfg(feature = "cli")]
 pub(crate) use step::around;
 pub use storage::{Record, Recorded, Storage, StoragePlan};
 pub use summary::{Phase, StopReason, Summary};
