@@ -48,15 +48,17 @@
 //!             rows (all index arithmetic)  caches, roofline └─► report  a page with an animation
 //! ```
 //!
-//! Arrows run one way. A step of the solver ([`solver::Descent::step`]) has two halves. In the
+//! Arrows run one way. A step of the solver (`solver::Descent::step`) has two halves. In the
 //! first, the draws of every block of cells read the samples in their rows and fill a private
 //! integer patch; in the second, patches add up line by line, and Adam moves the samples of the
 //! line. Both are rounds of jobs, which threads of this process or worker processes take from one
 //! board ([`perceptile_cluster`]). On a cluster each rank does so with a region of the tile
-//! ([`tile::Regions`]), and ranks send each other what their regions see of others. Why it is fast
-//! stands where it is done: rows in [`tile::Rows`], the stages of a draw in [`gradient`], sorting
-//! and transpositions in [`gradient::simd`], pages of memory in the solver; `profile` shows what
+//! (`tile::Regions`), and ranks send each other what their regions see of others. Why it is fast
+//! stands where it is done: rows in `tile::Rows`, the stages of a draw in `gradient`, sorting
+//! and transpositions in `gradient::simd`, pages of memory in the solver; `profile` shows what
 //! comes of it.
+//!
+//! These pages have what a program needs. `RUSTDOCFLAGS="--cfg internals" cargo doc` has all rooms.
 //!
 //! # Features
 //!
@@ -64,33 +66,50 @@
 //! that make or read tiles set `default-features = false`, which leaves two thirds of the crates.
 //! `mpi` is for the command on clusters; it needs an MPI library.
 
+// Rooms behind the items below. The command, tests and benches go in; users need not.
+#[cfg_attr(not(internals), doc(hidden))]
 pub mod array;
+#[cfg_attr(not(internals), doc(hidden))]
 pub mod draw;
 pub mod format;
+#[cfg_attr(not(internals), doc(hidden))]
 pub mod gradient;
 pub mod kernel;
 pub mod metric;
 mod optimizer;
 pub mod preview;
 #[cfg(feature = "cli")]
+#[cfg_attr(not(internals), doc(hidden))]
 pub mod profile;
 #[cfg(feature = "cli")]
+#[cfg_attr(not(internals), doc(hidden))]
 pub mod report;
+#[cfg_attr(not(internals), doc(hidden))]
 pub mod run;
+#[cfg_attr(not(internals), doc(hidden))]
 pub mod solver;
+#[cfg_attr(not(internals), doc(hidden))]
 pub mod tile;
 
+#[doc(inline)]
 pub use draw::DrawOptions;
+#[doc(inline)]
 pub use format::source::{SourceError, TileSource};
+#[doc(inline)]
 pub use format::write::WriteError;
+#[doc(inline)]
 pub use kernel::{KernelError, KernelSpec, ParseError, Viewing};
+#[doc(inline)]
 pub use metric::{ScoreError, ScoreOptions, Scores};
 pub use optimizer::{OptimizeError, Optimizer, Run};
-pub use run::error::RunError;
-pub use run::memory::MemoryError;
-pub use run::observer::Progress;
-pub use solver::adam::AdamOptions;
-pub use solver::polish::PolishOptions;
-pub use solver::warp::WarpOptions;
-pub use solver::{Options, OptionsError, Phase, Preset, Start, StopReason, Summary};
-pub use tile::{ShapeError, Tile, TileError, TileShape};
+#[doc(inline)]
+pub use run::{error::RunError, memory::MemoryError, observer::Progress};
+#[doc(inline)]
+pub use solver::{
+    MAX_POLISH_TAPS, Options, OptionsError, Phase, Preset, Start, StopReason, Summary,
+    adam::{AdamOptions, MAX_BETA},
+    polish::PolishOptions,
+    warp::WarpOptions,
+};
+#[doc(inline)]
+pub use tile::{MAX_DIMS, MAX_SPP, ShapeError, Tile, TileError, TileShape};

@@ -5,9 +5,9 @@
 //! ([`png`]; [`series`] puts the slices in order). `tile` gives [`Tile`](crate::tile::Tile) its own
 //! `load` and `save`. Outwards, [`slices`] exports a tile as PNG
 //! files, [`picture`] draws its preview, [`sidecar`] records where it came from, and all of them
-//! write through [`write`](mod@write), which never loses an existing file; [`claim`] keeps others
-//! from the same output meanwhile, and [`unfinished`] knows what must go should the process end at
-//! once. [`checkpoint`] is both ways: the state of a run that is to go on later.
+//! write through [`write`](mod@write), which never loses an existing file; `claim` keeps others
+//! from the same output meanwhile, and `unfinished` knows what must go should the process end at
+//! once. `checkpoint` is both ways: the state of a run that is to go on later.
 //!
 //! Tiles and checkpoints may be larger than memory. They are written from pieces ([`numbers`]), and
 //! checkpoints are read in pieces, so that who writes or reads for others need not hold them.
@@ -15,7 +15,9 @@
 //! Every reader takes hostile input: it answers with a tile or an error that names the value and
 //! the rule, and allocates no more than the size of the file can justify.
 
+#[cfg_attr(not(internals), doc(hidden))]
 pub mod checkpoint;
+#[cfg_attr(not(internals), doc(hidden))]
 pub mod claim;
 pub(crate) mod hashed;
 pub mod npy;
@@ -27,5 +29,6 @@ pub mod sidecar;
 pub mod slices;
 pub mod source;
 mod tile;
+#[cfg_attr(not(internals), doc(hidden))]
 pub mod unfinished;
 pub mod write;
