@@ -57,10 +57,15 @@ pub fn time(forecast: &Forecast) -> String {
 fn notices(plan: &Plan) -> Vec<String> {
     let classes = plan.kernel.classes();
     let mut notices = Vec::new();
-    for class in classes.iter().filter(|class| class.dropped.total > MOST_DROPPED) {
-        notices.push(format!("warning: {}", dropped(class)));
-    }
     let frames = plan.options.shape.frames() as u64;
+    for class in classes {
+        // A box as long as the tile is as long as it should be.
+        let whole = class.taps.size()[2] >= frames;
+        let Dropped { total, space, .. } = class.dropped;
+        if space.filter(|_| whole).unwrap_or(total) > MOST_DROPPED {
+            notices.push(format!("warning: {}", dropped(class)));
+        }
+    }
     let still = |class: &KernelClass| class.taps.size() == [1, 1, frames];
     let in_time = classes[0].taps.size()[2] > 1;
     if in_time && frames > 1 && !classes.iter().any(still) {

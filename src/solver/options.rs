@@ -230,7 +230,7 @@ impl Options {
     /// from it, and with as many steps as take as long as those of the default kernel, but no more.
     /// What a draw costs is in proportion to its subset.
     ///
-    /// For 120 frames per second and α = 0.1 that is 6,800 steps instead of 16,000. A fifth of
+    /// For 120 frames per second and α = 0.1 that is 4,329 steps instead of 16,000. A fifth of
     /// the steps raises the score of edges by 2.5 %, and of bumps by 17 % (64×64×16, set 7).
     ///
     /// # Errors
