@@ -11,9 +11,6 @@ use perceptile::tile::Tile;
 use super::exit::Failure;
 use super::source::SourceArgs;
 
-/// The kernel through which error is seen unless another is given.
-pub const DEFAULT_KERNEL: &str = "gaussian(2.1) * fovvideovdp(60) @ 7x7x8";
-
 /// Seed of the comparison tiles.
 const BASELINE_SEED: u64 = 1;
 

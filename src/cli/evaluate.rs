@@ -6,13 +6,13 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use perceptile::format::write::{self, Existing};
-use perceptile::kernel::KernelSpec;
 use perceptile::metric::{Baseline, Class, Domain, ScoreOptions, ScoredTile};
 use perceptile::report::pictures::spectrum_picture;
 use serde::Serialize;
 
-use super::candidates::{self, Candidate, DEFAULT_KERNEL, progress};
+use super::candidates::{self, Candidate, progress};
 use super::exit::Failure;
+use super::perceived::PerceivedArgs;
 use super::source::SourceArgs;
 use super::stream::show;
 
@@ -28,9 +28,8 @@ pub struct EvaluateArgs {
     #[arg(value_name = "TILE", required = true)]
     tiles: Vec<PathBuf>,
 
-    /// The kernel through which error is seen; of a mixture, its first class.
-    #[arg(long, value_name = "SPEC", default_value = DEFAULT_KERNEL)]
-    kernel: KernelSpec,
+    #[command(flatten)]
+    kernel: PerceivedArgs,
 
     /// Print JSON.
     #[arg(long)]
@@ -72,6 +71,8 @@ pub struct EvaluateArgs {
 struct Evaluation {
     /// The kernel's text form.
     kernel: String,
+    /// Where the kernel is from.
+    kernel_origin: String,
     options: ScoreOptions,
     /// Name of the tile that the others are compared with.
     against: String,
@@ -86,7 +87,9 @@ struct Evaluation {
 pub fn run(args: EvaluateArgs) -> Result<(), Failure> {
     let options = ScoreOptions { set: args.set, integrands: args.integrands };
     options.validate()?;
+    args.kernel.check()?;
     let candidates = candidates(&args)?;
+    let kernel = args.kernel.choose(&args.tiles[0], &candidates)?;
     let existing = Existing::from_force(args.force);
     if let Some(folder) = &args.spectra {
         write::make_folder(folder)?;
@@ -104,7 +107,7 @@ pub fn run(args: EvaluateArgs) -> Result<(), Failure> {
     let mut tiles = Vec::new();
     for candidate in candidates {
         let (entry, _) =
-            candidate.score(&args.kernel, options, args.spectra.is_some(), &progress)?;
+            candidate.score(&kernel.spec, options, args.spectra.is_some(), &progress)?;
         if let Some(folder) = &args.spectra {
             save_spectra(folder, &entry, existing)?;
         }
@@ -113,7 +116,8 @@ pub fn run(args: EvaluateArgs) -> Result<(), Failure> {
     progress.finish_and_clear();
     // The tile to compare with is always put first.
     let against = tiles[0].name.clone();
-    let report = Evaluation { kernel: args.kernel.to_string(), options, against, tiles };
+    let (kernel, kernel_origin) = (kernel.spec.to_string(), kernel.origin);
+    let report = Evaluation { kernel, kernel_origin, options, against, tiles };
     show(args.json, &report, || table::table(&report))
 }
 

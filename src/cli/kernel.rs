@@ -5,16 +5,22 @@ use std::path::PathBuf;
 use perceptile::format::picture::Image;
 use perceptile::format::write::Existing;
 use perceptile::kernel::{Dropped, KernelClass, KernelSpec, ResolveProblem, Tap, picture};
+use perceptile::solver::Preset;
 use serde::Serialize;
 
 use super::exit::Failure;
 use super::settings::TileSize;
 use super::stream::{print, show};
+use super::viewing::ViewingArgs;
 
 /// Taps listed per class without `--all`.
 const LISTED: usize = 20;
 
 /// Show the taps of a kernel and what truncation drops, and draw them on request
+///
+/// The kernel is written out as SPEC, or follows from --fps, --taa, --sigma and --pixels-per-degree,
+/// as in `optimize`: then it is the mixture that a tile is made with, of 64x64x16 unless --tile says
+/// another size.
 ///
 /// Prints, for each class of the kernel, its size, its sums, what truncation dropped and its
 /// largest taps. With --out it draws a picture as well: the taps frame by frame (newest first), the
@@ -29,10 +35,17 @@ pub struct KernelArgs {
     /// or the share PERCENT% to keep (infinite kernels keep 97% by default). Or a mixture of such
     /// products, column and frame, each with its weight: "0.9: gaussian(2.1) * ema(0.2) + 0.1:
     /// column".
-    #[arg(value_name = "SPEC")]
-    pub spec: KernelSpec,
+    #[arg(
+        value_name = "SPEC",
+        required_unless_present_any = ["fps", "taa", "sigma", "pixels_per_degree"]
+    )]
+    pub spec: Option<KernelSpec>,
 
-    /// Size of the tile that the kernel is for; column and frame need it
+    #[command(flatten)]
+    pub viewing: ViewingArgs,
+
+    /// Size of the tile that the kernel is for; column and frame need it, and in it a longer kernel
+    /// wraps in time
     #[arg(long, value_name = "WxHxF")]
     pub tile: Option<TileSize>,
 
@@ -58,17 +71,24 @@ pub struct KernelArgs {
 /// # Errors
 /// A kernel that cannot be made or does not fit the tile, and a picture that cannot be written.
 pub fn run(args: KernelArgs) -> Result<(), Failure> {
-    let kernel = match args.tile {
-        // Samples per pixel and dimensions do not matter to a kernel.
-        Some(size) => args.spec.resolve(size.shape(1, 1)?)?,
-        None => args.spec.resolve_without_tile().map_err(|error| {
+    // Samples per pixel and dimensions do not matter to a kernel.
+    let shape = args.tile.map(|size| size.shape(1, 1)).transpose()?;
+    let default = Preset::Best.options().shape;
+    args.viewing.refuse_beside(args.spec.as_ref(), "SPEC")?;
+    let (spec, shape) = match args.spec {
+        Some(spec) => (spec, shape),
+        None => (args.viewing.kernel(shape.unwrap_or(default))?, shape.or(Some(default))),
+    };
+    let kernel = match shape {
+        Some(shape) => spec.resolve(shape)?,
+        None => spec.resolve_without_tile().map_err(|error| {
             let needs_tile = error.problem == ResolveProblem::NeedsTile;
             let failure = Failure::from(error);
             if needs_tile { failure.explained("give --tile WxHxF") } else { failure }
         })?,
     };
     let classes: Vec<ClassReport> = kernel.classes().iter().map(describe).collect();
-    let report = KernelReport { kernel: args.spec.to_string(), classes };
+    let report = KernelReport { kernel: spec.to_string(), classes };
     let listed = if args.all { usize::MAX } else { LISTED };
     show(args.json, &report, || table(&report.classes, listed))?;
     if let Some(path) = args.out {

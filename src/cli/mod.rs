@@ -11,6 +11,7 @@ mod exit;
 mod export;
 mod kernel;
 mod optimize;
+mod perceived;
 mod prepared;
 mod profile;
 mod progress;

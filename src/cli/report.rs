@@ -9,19 +9,25 @@ use perceptile::metric::{Baseline, ScoreOptions};
 use perceptile::report::{Report, ReportOptions};
 use perceptile::run::signals::Signals;
 
-use super::candidates::{self, DEFAULT_KERNEL, progress};
+use super::candidates::{self, progress};
 use super::exit::Failure;
+use super::perceived::PerceivedArgs;
 use super::source::SourceArgs;
 use super::stream::{print, say};
 
 /// Most frames per second of the animations.
 const MAX_FPS: f64 = 1000.0;
+/// Weight of the newest frame in the views with temporal anti-aliasing, if the kernel has none.
+const ALPHA: f64 = 0.2;
 
 /// Show tiles beside white noise: a folder with a page that needs no network
 ///
 /// Open OUT/index.html in a browser. It plays the error of every tile as it is, as perceived and
-/// behind temporal anti-aliasing, and shows the scores of `perceptile evaluate`, slices, spectra,
-/// histograms, and where each tile comes from.
+/// behind temporal anti-aliasing (TAA), and shows the scores of `perceptile evaluate`, slices,
+/// spectra, histograms, and where each tile comes from.
+///
+/// The animations play at the kernel's frame rate, so at that of --fps. The views with TAA have the
+/// kernel's weight of the newest frame, so that of --taa, or 0.2 if the kernel has no TAA.
 #[derive(Debug, clap::Args)]
 pub struct ReportArgs {
     /// The folder to make; the one around it must exist
@@ -32,18 +38,8 @@ pub struct ReportArgs {
     #[arg(value_name = "TILE", required = true)]
     tiles: Vec<PathBuf>,
 
-    /// The kernel through which error is seen; of a mixture, its first class
-    #[arg(long, value_name = "SPEC", default_value = DEFAULT_KERNEL)]
-    kernel: KernelSpec,
-
-    /// Weight of the newest frame in temporal anti-aliasing, above 0 and at most 1
-    #[arg(long, value_name = "ALPHA", default_value_t = 0.2, value_parser = alpha)]
-    taa: f64,
-
-    /// Frames per second of the animations, 1 to 1000 [default: that of the kernel's perception, or
-    /// 60]
-    #[arg(long, value_name = "N", value_parser = fps)]
-    fps: Option<f64>,
+    #[command(flatten)]
+    kernel: PerceivedArgs,
 
     /// Folder of renders to show, with a renders.json
     #[arg(long, value_name = "DIR")]
@@ -66,20 +62,6 @@ pub struct ReportArgs {
     force: bool,
 }
 
-/// Reads the weight of the newest frame.
-fn alpha(text: &str) -> Result<f64, String> {
-    // The same rule as in a kernel.
-    let spec: Result<KernelSpec, _> = format!("ema({text})").parse();
-    spec.map_err(|error| error.to_string())?;
-    text.parse().map_err(|_| "it must be a number".to_owned())
-}
-
-/// Reads a frame rate.
-fn fps(text: &str) -> Result<f64, String> {
-    let rate = text.parse().ok().filter(|rate| (1.0..=MAX_FPS).contains(rate));
-    rate.ok_or_else(|| "it must be a number from 1 to 1000".to_owned())
-}
-
 /// Scores the tiles and makes the folder.
 ///
 /// # Errors
@@ -90,16 +72,22 @@ pub fn run(args: ReportArgs) -> Result<ExitCode, Failure> {
         Signals::install(|_| ()).map_err(Failure::refused("cannot listen for signals"))?;
     let scores = ScoreOptions { set: args.set, integrands: args.integrands };
     scores.validate()?;
-    let command = args.command();
-    let fps = args.frame_rate();
-    let ReportArgs { out, tiles, kernel, taa, renders, source, force, .. } = args;
-    let options = ReportOptions { kernel: kernel.clone(), alpha: taa, fps, scores, command };
+    args.kernel.check()?;
+    let candidates = candidates::read(args.tiles.clone(), &args.source, &[Baseline::White])?;
+    let kernel = args.kernel.choose(&args.tiles[0], &candidates)?;
+    let options = ReportOptions {
+        kernel: kernel.spec.clone(),
+        alpha: ALPHA,
+        fps: frame_rate(&kernel.spec),
+        scores,
+        command: args.command(&kernel.spec),
+    };
+    let ReportArgs { out, renders, force, .. } = args;
     let existing = Existing::from_force(force);
     let mut report = Report::begin(&out, existing, options, renders.as_deref())?;
-    let candidates = candidates::read(tiles, &source, &[Baseline::White])?;
     let progress = progress(candidates.len());
     for candidate in candidates {
-        let (entry, taps) = candidate.score(&kernel, scores, true, &progress)?;
+        let (entry, taps) = candidate.score(&kernel.spec, scores, true, &progress)?;
         report.add(entry, &candidate.tile, &taps)?;
         if let Some(code) = signals.received() {
             progress.finish_and_clear();
@@ -109,19 +97,20 @@ pub fn run(args: ReportArgs) -> Result<ExitCode, Failure> {
     }
     report.finish()?;
     progress.finish_and_clear();
-    print(&format!("{}\n", out.join("index.html").display()))?;
+    let page = out.join("index.html");
+    print(&format!("kernel  {} ({})\n{}\n", kernel.spec, kernel.origin, page.display()))?;
     Ok(ExitCode::SUCCESS)
 }
 
-impl ReportArgs {
-    /// Frames per second of the animations.
-    fn frame_rate(&self) -> f64 {
-        let of_kernel = || self.kernel.frame_rate().unwrap_or(60.0).min(MAX_FPS);
-        self.fps.unwrap_or_else(of_kernel)
-    }
+/// Frames per second of the animations.
+fn frame_rate(kernel: &KernelSpec) -> f64 {
+    kernel.frame_rate().unwrap_or(60.0).min(MAX_FPS)
+}
 
-    /// The command that makes the same report, as any folder.
-    fn command(&self) -> String {
+impl ReportArgs {
+    /// The command that makes the same report, as any folder. The kernel says all that follows from
+    /// flags and sidecars.
+    fn command(&self, kernel: &KernelSpec) -> String {
         let mut words: Vec<String> = ["perceptile", "report", "OUT"].map(str::to_owned).into();
         words.extend(self.tiles.iter().map(|path| {
             let name = path.display().to_string();
@@ -129,9 +118,7 @@ impl ReportArgs {
             if name.starts_with('-') { format!("./{name}") } else { name }
         }));
         let mut flag = |name: &str, value: String| words.extend([format!("--{name}"), value]);
-        flag("kernel", self.kernel.to_string());
-        flag("taa", self.taa.to_string());
-        flag("fps", self.frame_rate().to_string());
+        flag("kernel", kernel.to_string());
         if let Some(renders) = &self.renders {
             flag("renders", renders.display().to_string());
         }
@@ -160,43 +147,33 @@ mod tests {
 
     #[test]
     fn the_command_says_all_but_the_folder() {
-        let args =
-            ["here", "a b.npy", "--spp=2", "--taa=0.1", "--renders=r", "--force", "--", "-x"];
+        let args = ["here", "a b.npy", "--spp=2", "--taa=0.1", "--renders=r", "--force", "--", "-x"];
+        let kernel: KernelSpec = "gaussian(2.1) * ema(0.1) @ 7x7x8".parse().unwrap();
         assert_eq!(
-            parse(&args).unwrap().command(),
-            "perceptile report OUT 'a b.npy' ./-x \
-             --kernel 'gaussian(2.1) * fovvideovdp(60) @ 7x7x8' --taa 0.1 --fps 60 \
+            parse(&args).unwrap().command(&kernel),
+            "perceptile report OUT 'a b.npy' ./-x --kernel 'gaussian(2.1) * ema(0.1) @ 7x7x8' \
              --renders r --integrands 256 --set 0 --spp 2"
         );
     }
 
     #[test]
     fn animations_have_the_frame_rate_of_the_kernel() {
-        for (kernel, flags, fps) in [
-            ("gaussian(2.1) * fovvideovdp(120) @ 7x7x8", &[][..], 120.0),
-            ("0.9: fovvideovdp(24) @ 90% + 0.1: fovvideovdp(90) @ 90%", &[], 24.0),
-            ("fovvideovdp(5000) @ 90%", &[], 1000.0),
-            ("gaussian(2.1) @ 7x7x1", &[], 60.0),
-            ("0.5: column + 0.5: fovvideovdp(24) @ 90%", &[], 60.0),
-            ("fovvideovdp(120) @ 90%", &["--fps", "30"], 30.0),
+        for (kernel, fps) in [
+            ("gaussian(2.1) * fovvideovdp(120) @ 7x7x8", 120.0),
+            ("0.9: fovvideovdp(24) @ 90% + 0.1: fovvideovdp(90) @ 90%", 24.0),
+            ("fovvideovdp(5000) @ 90%", 1000.0),
+            ("gaussian(2.1) @ 7x7x1", 60.0),
+            ("0.5: column + 0.5: fovvideovdp(24) @ 90%", 60.0),
         ] {
-            let args = parse(&[&["out", "a.npy", "--kernel", kernel], flags].concat()).unwrap();
-            assert_eq!(args.frame_rate(), fps, "{kernel}");
+            assert_eq!(frame_rate(&kernel.parse().unwrap()), fps, "{kernel}");
         }
     }
 
     #[test]
-    fn nonsense_is_refused_with_its_rule() {
-        for (flag, value, words) in [
-            ("--taa", "0", "above 0"),
-            ("--taa", "x", "ema"),
-            ("--taa", "NaN", "ema"),
-            ("--taa", "0.2) * box(2", "number"),
-            ("--fps", "0", "1 to 1000"),
-            ("--fps", "inf", "1 to 1000"),
-        ] {
+    fn nonsense_is_refused() {
+        for (flag, value) in [("--taa", "x"), ("--kernel", "gaussian(-1)")] {
             let error = parse(&["out", "a.npy", flag, value]).unwrap_err().to_string();
-            assert!(error.contains(words), "{error}");
+            assert!(error.contains(value), "{error}");
         }
         assert!(parse(&["out"]).is_err());
     }

@@ -38,6 +38,28 @@ impl ViewingArgs {
         *self != Self::default()
     }
 
+    /// Refuses these flags beside a kernel that is written out, in a flag or argument of this name.
+    ///
+    /// # Errors
+    /// If there is one, and one of them is given.
+    pub fn refuse_beside(&self, kernel: Option<&KernelSpec>, name: &str) -> Result<(), Misuse> {
+        if kernel.is_none() || !self.is_given() {
+            return Ok(());
+        }
+        let rule = "leave out --fps, --taa, --sigma and --pixels-per-degree";
+        Err(Misuse(format!("{name} says all of the kernel: {rule}")))
+    }
+
+    /// The flags that are given, as they are typed.
+    pub fn typed(&self) -> String {
+        let Self { fps, taa, sigma, pixels_per_degree } = *self;
+        [("fps", fps), ("taa", taa), ("sigma", sigma), ("pixels-per-degree", pixels_per_degree)]
+            .into_iter()
+            .filter_map(|(name, value)| Some(format!("--{name} {}", value?)))
+            .collect::<Vec<String>>()
+            .join(" ")
+    }
+
     /// The kernel that a tile of this shape is made with.
     ///
     /// # Errors

@@ -108,6 +108,44 @@ impl Sidecar {
         tile.with_extension("json")
     }
 
+    /// The sidecar that is there for a tile: the one beside a file, and in a folder of slices the
+    /// one that has their name, where [`write_slices`](super::slices::write_slices) and a copy of
+    /// the sidecar have the same stem.
+    pub fn find(tile: &Path) -> Option<PathBuf> {
+        if !tile.is_dir() {
+            let path = Self::path_of(tile);
+            return (path != tile && path.symlink_metadata().is_ok()).then_some(path);
+        }
+        let entries = fs::read_dir(tile).ok()?.filter_map(|entry| Some(entry.ok()?.path()));
+        let (names, others): (Vec<PathBuf>, Vec<PathBuf>) =
+            entries.partition(|path| path.extension().is_some_and(|it| it == "json"));
+        let mut named = names.into_iter().filter(|sidecar| {
+            let Some(stem) = sidecar.file_stem().and_then(|stem| stem.to_str()) else {
+                return false;
+            };
+            let slices = format!("{stem}_f");
+            let strip = tile.join(format!("{stem}.png"));
+            let name = |path: &PathBuf| path.file_name()?.to_str().map(str::to_owned);
+            others.iter().any(|path| {
+                *path == strip || name(path).is_some_and(|name| name.starts_with(&slices))
+            })
+        });
+        let only = named.next()?;
+        named.next().is_none().then_some(only)
+    }
+
+    /// Whether this is the sidecar of the tile of this shape that was read from a path. A `.npy` file
+    /// has the digest; pictures are rounded, so of them only the shape is compared.
+    pub fn describes(&self, path: &Path, shape: TileShape) -> bool {
+        let png = |path: &Path| path.extension().is_some_and(|it| it.eq_ignore_ascii_case("png"));
+        let sides = |shape: TileShape| [shape.width(), shape.height(), shape.frames()];
+        if path.is_dir() || png(path) {
+            sides(self.shape) == sides(shape)
+        } else {
+            file_digest(path).is_ok_and(|digest| digest == self.sha256)
+        }
+    }
+
     /// Reads a sidecar from its text.
     ///
     /// # Errors
@@ -251,6 +289,38 @@ mod tests {
         let tile = folder.path().join("tile.npy");
         npy::write_tile(&small(), &mut File::create(&tile).unwrap()).unwrap();
         assert_eq!(file_digest(&tile).unwrap(), example().sha256);
+    }
+
+    #[test]
+    fn a_sidecar_is_found_beside_a_file_and_among_slices() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        assert_eq!(Sidecar::find(&at("a.npy")), None);
+        example().write(&at("a.json"), Existing::Keep).unwrap();
+        assert_eq!(Sidecar::find(&at("a.npy")), Some(at("a.json")));
+        assert_eq!(Sidecar::find(&at("a.json")), None);
+        // In a folder the slices say which one is theirs.
+        assert_eq!(Sidecar::find(folder.path()), None);
+        fs::write(at("a_f000.png"), "").unwrap();
+        fs::write(at("b.json"), "").unwrap();
+        assert_eq!(Sidecar::find(folder.path()), Some(at("a.json")));
+        fs::write(at("b_f000.png"), "").unwrap();
+        assert_eq!(Sidecar::find(folder.path()), None);
+    }
+
+    #[test]
+    fn a_sidecar_describes_the_tile_that_it_was_written_for() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        let (tile, shape) = (small(), small().shape());
+        npy::write_tile(&tile, &mut File::create(at("a.npy")).unwrap()).unwrap();
+        assert!(example().describes(&at("a.npy"), shape));
+        let other = Tile::new(shape, vec![0.25, 0.5]).unwrap();
+        npy::write_tile(&other, &mut File::create(at("b.npy")).unwrap()).unwrap();
+        assert!(!example().describes(&at("b.npy"), shape));
+        assert!(!example().describes(&at("absent.npy"), shape));
+        assert!(example().describes(folder.path(), shape));
+        assert!(!example().describes(folder.path(), TileShape::new(1, 2, 1, 1, 1).unwrap()));
     }
 
     #[test]

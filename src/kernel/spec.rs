@@ -242,6 +242,32 @@ impl KernelSpec {
         }
     }
 
+    /// The first class alone.
+    pub fn first(&self) -> Self {
+        Self { classes: vec![ClassSpec { weight: 1.0, kind: self.classes[0].kind.clone() }] }
+    }
+
+    /// Weight of the newest frame in the temporal anti-aliasing of the first class, if it has any.
+    pub fn taa(&self) -> Option<f64> {
+        let ClassKind::Product { factors, .. } = &self.classes[0].kind else { return None };
+        factors.iter().find_map(|factor| match factor {
+            Factor::Ema { alpha } => Some(*alpha),
+            _ => None,
+        })
+    }
+
+    /// The first class alone, without its temporal anti-aliasing, if it has any.
+    pub fn without_taa(&self) -> Option<Self> {
+        let mut alone = self.first();
+        let ClassKind::Product { factors, .. } = &mut alone.classes[0].kind else { return None };
+        let average = factors.iter().position(|factor| matches!(factor, Factor::Ema { .. }))?;
+        factors.remove(average);
+        if factors.is_empty() {
+            factors.push(Factor::None);
+        }
+        Some(alone)
+    }
+
     /// The classes in the order they were given.
     pub fn classes(&self) -> &[ClassSpec] {
         &self.classes

@@ -46,7 +46,7 @@ use views::Views;
 pub struct ReportOptions {
     /// The kernel through which error is seen; of a mixture, its first class.
     pub kernel: KernelSpec,
-    /// Weight of the newest frame in temporal anti-aliasing, in (0, 1].
+    /// Weight of the newest frame in temporal anti-aliasing, in (0, 1], if the kernel has none.
     pub alpha: f64,
     /// Frames per second that the viewer plays.
     pub fps: f64,

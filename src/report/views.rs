@@ -32,6 +32,9 @@ pub(super) struct Views {
 impl Views {
     /// The views for tiles of which the viewer has these parts; `shape` is the first tile's.
     ///
+    /// A kernel that has temporal anti-aliasing already is "TAA, as perceived", its α is that of the
+    /// views, and "As perceived" is the rest of it.
+    ///
     /// # Errors
     /// A kernel that does not fit the first tile.
     pub fn new(
@@ -42,18 +45,23 @@ impl Views {
     ) -> Result<Self, KernelError> {
         let least = |side: fn(&Crop) -> usize| parts.iter().map(side).min().unwrap_or(1);
         let room = Room { width: least(|part| part.width), height: least(|part| part.height) };
-        let resolved = kernel.resolve(shape)?;
+        let without = kernel.without_taa();
+        let resolved = without.as_ref().unwrap_or(kernel).resolve(shape)?;
         let perceived = &resolved.classes()[0];
         let mut views = Self {
             shown: vec![View { name: "Raw", kernel: None, text: None }],
             left_out: Vec::new(),
         };
         views.add("As perceived", room.planes(perceived));
-        let average = Average::new(alpha);
+        let average = Average::new(kernel.taa().unwrap_or(alpha));
         views.add(
             "With TAA",
             average.clone().and_then(|average| room.first(&average.alone(average.frames)?)),
         );
+        if without.is_some() {
+            views.add("TAA, as perceived", room.first(kernel));
+            return Ok(views);
+        }
         views.add(
             "TAA, as perceived",
             average.and_then(|average| {
@@ -180,6 +188,16 @@ mod tests {
         let all = views("gaussian(2, radius=2)", 0.5, &[[64, 64, 16]]);
         let text = all.shown[3].text.as_deref();
         assert_eq!(text, Some("gaussian(2, radius=2) * ema(0.5) @ 5x5x6"));
+    }
+
+    #[test]
+    fn a_kernel_with_taa_is_the_last_view_and_the_rest_of_it_the_second() {
+        let kernel = "gaussian(2.1) * fovvideovdp(120) * ema(0.1) @ 7x7x35";
+        let all = views(kernel, 0.2, &[[64, 64, 16]]);
+        let text = |i: usize| all.shown[i].text.as_deref();
+        assert_eq!(text(1), Some("gaussian(2.1) * fovvideovdp(120) @ 7x7x35"));
+        assert_eq!(text(2), Some("ema(0.1) @ 1x1x34"));
+        assert_eq!(text(3), Some(kernel));
     }
 
     #[test]

@@ -644,8 +644,52 @@ fn kernels_are_shown() {
     assert_eq!(taps.len(), 36);
     let mass: f64 = taps.iter().map(|tap| tap[3].as_f64().unwrap().abs()).sum();
     assert!((mass - 1.0).abs() < 1e-12);
+    let printed = folder.succeed(&["kernel", "--fps", "120", "--taa", "0.1", "--json"]);
+    let report: Value = serde_json::from_str(&printed).unwrap();
+    let mixture =
+        "0.84: gaussian(2.1) * fovvideovdp(120) * ema(0.1) @ 7x7x35 + 0.06: column + 0.1: box(8)";
+    assert_eq!(report["kernel"], mixture);
+    let smaller = folder.succeed(&["kernel", "--fps", "120", "--tile", "8x8x6"]);
+    assert!(smaller.contains("box(3)"), "{smaller}");
+    folder.fail(&["kernel", spec, "--fps", "120"], 2, &["SPEC says all", "leave out --fps"]);
+    folder.fail(&["kernel", "--fps", "3"], 2, &["fps is 3"]);
     folder.fail(&["kernel", spec, "--json"], 2, &["--tile"]);
     folder.fail(&["kernel", spec, "--tile", "8x2x8", "--json"], 2, &["3 pixels high", "only 2"]);
+}
+
+#[test]
+fn a_tile_is_scored_behind_the_kernel_that_it_was_made_for() {
+    let folder = Folder::new();
+    folder.small(&["--out", "a.npy"]);
+    let quick = ["--integrands", "2"];
+    let line = |more: &[&str]| {
+        let printed = folder.succeed(&[&["evaluate"], more, &quick[..]].concat());
+        printed.lines().next().unwrap().to_owned()
+    };
+    let own = "kernel      gaussian(1) * ema(0.5) @ 3x3x4 (from a.json)";
+    assert_eq!(line(&["a.npy"]), own);
+    let given = "kernel      gaussian(1) @ 3x3x1 (from --kernel)";
+    assert_eq!(line(&["a.npy", "--kernel", "gaussian(1) @ 3x3x1"]), given);
+    let watched = "kernel      gaussian(1) * fovvideovdp(24) * ema(0.5) @ 3x3x9 (from --fps 24 --taa 0.5 \
+                   --sigma 1)";
+    assert_eq!(line(&["a.npy", "--fps", "24", "--taa", "0.5", "--sigma", "1"]), watched);
+    let both = ["evaluate", "a.npy", "--kernel", "none", "--taa", "0.1"];
+    folder.fail(&both, 2, &["--kernel says all of the kernel: leave out --fps"]);
+    folder.fail(&["report", "out", "a.npy", "--kernel", "none", "--fps", "90"], 2, &["leave out"]);
+    let printed = folder.succeed(&[&["report", "out", "a.npy"], &quick[..]].concat());
+    assert_eq!(printed, "kernel  gaussian(1) * ema(0.5) @ 3x3x4 (from a.json)\nout/index.html\n");
+
+    // A sidecar that is damaged or another tile's is no error.
+    let default = "kernel      gaussian(2.1) * fovvideovdp(60) @ 7x7x8 (the default";
+    fs::copy(folder.path().join("a.json"), folder.path().join("b.json")).unwrap();
+    folder.write("b.npy", npy("(4, 9, 8, 1, 2)", &[0.5; 576]));
+    assert_eq!(line(&["b.npy"]), format!("{default}, as b.json is that of another tile)"));
+    folder.write("b.json", "{");
+    assert_eq!(line(&["b.npy"]), format!("{default}, as b.json cannot be read)"));
+    fs::remove_file(folder.path().join("b.json")).unwrap();
+    assert_eq!(line(&["b.npy"]), format!("{default})"));
+    // The first tile that is named decides, and not the one that others are compared with.
+    assert_eq!(line(&["a.npy", "--against", "b.npy"]), own);
 }
 
 #[test]

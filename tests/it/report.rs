@@ -161,8 +161,9 @@ fn the_kernel_of_the_viewer_is_the_kernel_of_the_scores() {
     let viewer = data(&room.report(&["out", "a.npy"]), "viewer-data");
     let kernel: Value = serde_json::from_str(&room.succeed(&["kernel", KERNEL, "--json"])).unwrap();
     let class = &kernel["classes"][0];
-    assert_eq!(viewer["views"][1]["name"], "As perceived");
-    let shown = &viewer["views"][1]["kernel"];
+    // It has temporal anti-aliasing of its own.
+    assert_eq!(viewer["views"][3]["name"], "TAA, as perceived");
+    let shown = &viewer["views"][3]["kernel"];
     assert_eq!(shown["power"], class["sum_squares"]);
     let taps = class["taps"].as_array().unwrap();
     for tap in taps {

@@ -18,7 +18,7 @@ struct TableSection {
 /// The whole text that the command prints.
 pub(super) fn table(report: &Evaluation) -> String {
     let mut lines = vec![
-        format!("kernel      {}", report.kernel),
+        format!("kernel      {} ({})", report.kernel, report.kernel_origin),
         format!(
             "integrands  {} of each class, set {}; ± is the standard error over them",
             report.options.integrands, report.options.set
@@ -154,6 +154,7 @@ mod tests {
         let against = tiles[0].name.clone();
         table(&Evaluation {
             kernel: "none".into(),
+            kernel_origin: "the default".into(),
             options: ScoreOptions::default(),
             against,
             tiles,
