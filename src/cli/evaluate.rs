@@ -1,6 +1,8 @@
-//! `perceptile evaluate`: how good tiles are, ours and others', in one table.
+//! `perceptile evaluate`: how good tiles are, ours and others', in one table and in words.
 
+mod figure;
 mod table;
+mod verdict;
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -12,59 +14,66 @@ use serde::Serialize;
 
 use super::candidates::{self, Candidate, progress};
 use super::exit::Failure;
+use super::integrands::IntegrandsArgs;
 use super::perceived::PerceivedArgs;
 use super::source::SourceArgs;
 use super::stream::show;
 
-/// Score tiles: perceived error, uniformity, accumulation, quantization.
+/// Score tiles: perceived error, uniformity, accumulation, quantization
 ///
-/// All scores are relative to white noise, which has 1, and lower is better: the mean square error
-/// over random integrands of a class, divided by white noise's. Compare tiles only on the same set,
-/// and judge them on sets that nothing was tuned on. Under each tile, the line "÷ NAME" divides its scores by those of the tile that it is
-/// compared with.
+/// All scores are relative to white noise that is new in every frame, which has 1, and lower is
+/// better: the mean square error over random integrands of a class, divided by white noise's. A tile
+/// repeats: a kernel longer than the tile is folded at its period. Scores are comparable only for
+/// equal --kernel, --set and --integrands; judge tiles on sets that nothing was tuned on. The line
+/// `÷ NAME` is the ratio to tile NAME: 2 means twice its error.
 #[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
 pub struct EvaluateArgs {
-    /// The tiles: .npy files, vertical strips of PNG slices, or folders of PNG slices.
+    /// The tiles: .npy files, vertical strips of PNG slices, or folders of PNG slices
     #[arg(value_name = "TILE", required = true)]
     tiles: Vec<PathBuf>,
+
+    /// The tile that the others are compared with [default: the first]
+    #[arg(long, value_name = "TILE", help_heading = "Comparison")]
+    against: Option<PathBuf>,
+
+    /// Comparison tiles to add, in the shape of the first tile: white, sobol (scrambled after
+    /// Owen, independently in each pixel), or both with a comma
+    #[arg(long, value_name = "LIST", value_delimiter = ',', help_heading = "Comparison")]
+    baselines: Vec<Baseline>,
 
     #[command(flatten)]
     kernel: PerceivedArgs,
 
-    /// Print JSON.
-    #[arg(long)]
+    #[command(flatten)]
+    integrands: IntegrandsArgs,
+
+    /// Print all tables: also after 8 and 16 bits, and means over a period
+    #[arg(long, help_heading = "Output")]
+    all: bool,
+
+    /// Print JSON
+    #[arg(long, help_heading = "Output")]
     json: bool,
-
-    /// Integrands of each class, 1 to 65536.
-    #[arg(long, value_name = "N", default_value_t = ScoreOptions::default().integrands)]
-    integrands: usize,
-
-    /// Number of the set of integrands.
-    #[arg(long, value_name = "N", default_value_t = ScoreOptions::default().set)]
-    set: u64,
-
-    /// Comparison tiles to add, in the shape of the first tile: white, sobol (scrambled after
-    /// Owen, independently in each pixel), or both with a comma.
-    #[arg(long, value_name = "LIST", value_delimiter = ',')]
-    baselines: Vec<Baseline>,
-
-    /// The tile that the others are compared with [default: the first].
-    #[arg(long, value_name = "TILE")]
-    against: Option<PathBuf>,
 
     /// Folder for power spectra of the error, PNG files NAME-CLASS-xy.png and -xt.png: frequency 0
     /// is in the centre, time runs down, and brightness is amplitude, white noise's mid-gray. It
-    /// is made if the folder around it exists.
-    #[arg(long, value_name = "DIR")]
+    /// is made if the folder around it exists
+    #[arg(long, value_name = "DIR", help_heading = "Output")]
     spectra: Option<PathBuf>,
+
+    /// Replace pictures of spectra that exist
+    #[arg(long, help_heading = "Output")]
+    force: bool,
 
     #[command(flatten)]
     source: SourceArgs,
-
-    /// Replace pictures of spectra that exist.
-    #[arg(long)]
-    force: bool,
 }
+
+const EXAMPLES: &str = "\
+Examples:
+  perceptile evaluate tile.npy --baselines white
+  perceptile evaluate mine.npy FAST.npy stbn-slices --fps 120 --taa 0.1";
 
 /// All that the command found out, as `--json` prints it.
 #[derive(Debug, Serialize)]
@@ -85,7 +94,7 @@ struct Evaluation {
 /// A tile that cannot be read, a kernel that does not fit one, options out of range, spectra that
 /// exist without `--force` or cannot be written.
 pub fn run(args: EvaluateArgs) -> Result<(), Failure> {
-    let options = ScoreOptions { set: args.set, integrands: args.integrands };
+    let options = args.integrands.options();
     options.validate()?;
     args.kernel.check()?;
     let candidates = candidates(&args)?;
@@ -118,7 +127,7 @@ pub fn run(args: EvaluateArgs) -> Result<(), Failure> {
     let against = tiles[0].name.clone();
     let (kernel, kernel_origin) = (kernel.spec.to_string(), kernel.origin);
     let report = Evaluation { kernel, kernel_origin, options, against, tiles };
-    show(args.json, &report, || table::table(&report))
+    show(args.json, &report, || table::table(&report, args.all))
 }
 
 /// The tiles to score; the one to compare with comes first.

@@ -5,12 +5,13 @@ use std::process::ExitCode;
 
 use perceptile::format::write::Existing;
 use perceptile::kernel::KernelSpec;
-use perceptile::metric::{Baseline, ScoreOptions};
+use perceptile::metric::Baseline;
 use perceptile::report::{Report, ReportOptions};
 use perceptile::run::signals::Signals;
 
 use super::candidates::{self, progress};
 use super::exit::Failure;
+use super::integrands::IntegrandsArgs;
 use super::perceived::PerceivedArgs;
 use super::source::SourceArgs;
 use super::stream::{print, say};
@@ -29,6 +30,7 @@ const ALPHA: f64 = 0.2;
 /// The animations play at the kernel's frame rate, so at that of --fps. The views with TAA have the
 /// kernel's weight of the newest frame, so that of --taa, or 0.2 if the kernel has no TAA.
 #[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
 pub struct ReportArgs {
     /// The folder to make; the one around it must exist
     #[arg(value_name = "OUT")]
@@ -38,28 +40,22 @@ pub struct ReportArgs {
     #[arg(value_name = "TILE", required = true)]
     tiles: Vec<PathBuf>,
 
+    /// Folder of renders to show, with a renders.json
+    #[arg(long, value_name = "DIR", help_heading = "Output")]
+    renders: Option<PathBuf>,
+
+    /// Replace an existing report. Refuses if OUT is not a report or has other files in it
+    #[arg(long, help_heading = "Output")]
+    force: bool,
+
     #[command(flatten)]
     kernel: PerceivedArgs,
 
-    /// Folder of renders to show, with a renders.json
-    #[arg(long, value_name = "DIR")]
-    renders: Option<PathBuf>,
-
-    /// Integrands of each class, 1 to 65536
-    #[arg(long, value_name = "N", default_value_t = ScoreOptions::default().integrands)]
-    integrands: usize,
-
-    /// Number of the set of integrands
-    #[arg(long, value_name = "N", default_value_t = ScoreOptions::default().set)]
-    set: u64,
+    #[command(flatten)]
+    integrands: IntegrandsArgs,
 
     #[command(flatten)]
     source: SourceArgs,
-
-    /// Replace a report that exists; anything else that has its name stays, and so does a report
-    /// with files of somebody else in it
-    #[arg(long)]
-    force: bool,
 }
 
 /// Scores the tiles and makes the folder.
@@ -70,7 +66,7 @@ pub struct ReportArgs {
 pub fn run(args: ReportArgs) -> Result<ExitCode, Failure> {
     let signals =
         Signals::install(|_| ()).map_err(Failure::refused("cannot listen for signals"))?;
-    let scores = ScoreOptions { set: args.set, integrands: args.integrands };
+    let scores = args.integrands.options();
     scores.validate()?;
     args.kernel.check()?;
     let candidates = candidates::read(args.tiles.clone(), &args.source, &[Baseline::White])?;
@@ -102,6 +98,11 @@ pub fn run(args: ReportArgs) -> Result<ExitCode, Failure> {
     Ok(ExitCode::SUCCESS)
 }
 
+const EXAMPLES: &str = "\
+Examples:
+  perceptile report out tile.npy
+  perceptile report out mine.npy FAST.npy stbn-slices --fps 120 --taa 0.1";
+
 /// Frames per second of the animations.
 fn frame_rate(kernel: &KernelSpec) -> f64 {
     kernel.frame_rate().unwrap_or(60.0).min(MAX_FPS)
@@ -122,8 +123,9 @@ impl ReportArgs {
         if let Some(renders) = &self.renders {
             flag("renders", renders.display().to_string());
         }
-        flag("integrands", self.integrands.to_string());
-        flag("set", self.set.to_string());
+        let scores = self.integrands.options();
+        flag("integrands", scores.integrands.to_string());
+        flag("set", scores.set.to_string());
         words.extend(self.source.command_line());
         super::line(words.into_iter())
     }
@@ -147,7 +149,8 @@ mod tests {
 
     #[test]
     fn the_command_says_all_but_the_folder() {
-        let args = ["here", "a b.npy", "--spp=2", "--taa=0.1", "--renders=r", "--force", "--", "-x"];
+        let args =
+            ["here", "a b.npy", "--spp=2", "--taa=0.1", "--renders=r", "--force", "--", "-x"];
         let kernel: KernelSpec = "gaussian(2.1) * ema(0.1) @ 7x7x8".parse().unwrap();
         assert_eq!(
             parse(&args).unwrap().command(&kernel),

@@ -701,6 +701,12 @@ fn tiles_are_evaluated_and_exported() {
     let table = folder.succeed(&[&["evaluate", "a.npy", "b.npy"], &kernel[..]].concat());
     assert!(table.contains("linear") && table.contains("residual"), "{table}");
     let json = folder.succeed(
+    assert!(table.contains("of b's perceived error") && !table.contains("±0.0000"), "{table}");
+    assert_eq!(table.matches("axis edge ").count(), 1, "{table}");
+    let all = folder.succeed(&[&["evaluate", "a.npy", "b.npy", "--all"], &kernel[..]].concat());
+    assert!(all.matches("axis edge ").count() > 3, "{all}");
+    folder.fail(&["evaluate", "a.npy", "--integrands", "1e4"], 2, &["whole number in digits"]);
+    folder.fail(&["evaluate", "a.png"], 1, &["the tile of this picture is a.npy"]);
         &[&["evaluate", "a.npy", "b.npy", "--json", "--baselines", "white"], &kernel[..]].concat(),
     );
     let report: Value = serde_json::from_str(&json).unwrap();

@@ -1,11 +1,12 @@
 //! The scores as a table for people.
 
-use perceptile::metric::{Class, Domain, Histogram, Ratio, ScoredTile, ShownScore};
+use perceptile::metric::{Class, Domain, Histogram, ScoredTile, ShownScore};
 
-use super::Evaluation;
+use super::figure::{figure, ratio};
+use super::{Evaluation, verdict};
 
-/// Characters of the columns: one for each class, then bias, histogram and residual.
-const WIDTHS: [usize; 8] = [16, 16, 16, 16, 16, 16, 20, 16];
+/// Spaces between two columns.
+const GAP: usize = 3;
 
 /// One block of the table: one score in one domain, a row per tile.
 struct TableSection {
@@ -15,28 +16,49 @@ struct TableSection {
     uniformity: bool,
 }
 
-/// The whole text that the command prints.
-pub(super) fn table(report: &Evaluation) -> String {
+/// The whole text that the command prints: the first table and what it comes to, or `all` tables.
+pub(super) fn table(report: &Evaluation, all: bool) -> String {
+    let against = &report.against;
     let mut lines = vec![
         format!("kernel      {} ({})", report.kernel, report.kernel_origin),
         format!(
             "integrands  {} of each class, set {}; ± is the standard error over them",
             report.options.integrands, report.options.set
         ),
-        "scores      mean square over a class, divided by white noise's; lower is better"
+        "scores      mean square error over a class, lower is better. 1 is white noise that is new in \
+         every frame; a tile repeats, and a kernel longer than it is folded at its period"
             .to_owned(),
     ];
+    if report.tiles.len() > 1 {
+        lines.push(format!("÷ {against}  the ratio to {against}: 2 means twice its error"));
+    }
     let domains = report.tiles.iter().map(|entry| Domain::of(entry.shape.dims()));
     let domains = domains.max_by_key(|domains| domains.len()).unwrap_or(&[]);
+    let mut left_out = 0;
     for &domain in domains {
         for (place, part) in ShownScore::ALL.into_iter().enumerate() {
-            let uniformity = place == 0 && domain == Domain::All;
-            lines.extend(TableSection { part, domain, uniformity }.lines(report));
+            let is_first = place == 0 && domain == Domain::All;
+            let section = TableSection { part, domain, uniformity: is_first }.lines(report);
+            if all || is_first {
+                lines.extend(section);
+            } else if !section.is_empty() {
+                left_out += 1;
+            }
         }
+    }
+    let verdict = verdict::lines(&report.tiles);
+    lines.extend((!verdict.is_empty()).then(String::new));
+    lines.extend(verdict);
+    if left_out > 0 {
+        let rest = "after 8 and 16 bits, and means over a period";
+        lines.push(format!("\n--all shows {left_out} more tables: {rest}"));
     }
     lines.push(String::new());
     lines.join("\n")
 }
+
+/// A cell of a row, and its number that is compared.
+type Cell = (String, f64);
 
 impl TableSection {
     /// Heading and rows; nothing if no tile has such a score.
@@ -50,73 +72,84 @@ impl TableSection {
         let reference = &report.tiles[0];
         let compared = self.figures(reference);
         let against = format!("÷ {}", reference.name);
-        let names = report.tiles.iter().map(|entry| &entry.name).chain([&against]);
-        let label = names.map(|name| name.chars().count()).max().unwrap_or(0) + 2;
-        let row = |name: &str, cells: &mut dyn Iterator<Item = String>| {
-            let cells = cells.zip(WIDTHS).map(|(cell, width)| format!("{cell:>width$}"));
-            format!("{name:label$}") + &cells.collect::<String>()
-        };
-        let pairs = if self.domain == Domain::Pairs { ", random pairs of dimensions" } else { "" };
-        let mut lines = vec![String::new(), format!("{}{pairs}", self.part.title)];
         let mut heading = Class::ALL.map(|class| class.to_string()).to_vec();
         if self.uniformity {
             heading.extend(["bias·√N", "histogram (rms)", "residual"].map(String::from));
         }
-        lines.push(row("", &mut heading.into_iter()));
+        let mut lines = vec![[vec![String::new()], heading].concat()];
         for (entry, figures) in &rows {
-            lines.push(row(&entry.name, &mut figures.iter().map(|(text, _)| text.clone())));
+            let cells = figures.iter().map(|(text, _)| text.clone());
+            lines.push([entry.name.clone()].into_iter().chain(cells).collect());
             // Integrands of other dimensions are other integrands: no comparison.
             if let Some(compared) = &compared
                 && entry.name != reference.name
                 && entry.shape.dims() == reference.shape.dims()
             {
-                let pairs = figures.iter().zip(compared).enumerate();
-                let mut quotients = pairs.map(|(at, ((_, a), (_, b)))| quotient(at, a / b));
-                lines.push(row(&against, &mut quotients).trim_end().to_owned());
+                let pairs = figures.iter().zip(compared);
+                let quotients = pairs.map(|(theirs, ours)| quotient(theirs, ours));
+                lines.push([against.clone()].into_iter().chain(quotients).collect());
             }
         }
-        lines
+        let pairs = if self.domain == Domain::Pairs { ", random pairs of dimensions" } else { "" };
+        let title = [String::new(), format!("{}{pairs}", self.part.title)];
+        title.into_iter().chain(aligned(&lines)).collect()
     }
 
-    /// What the section shows of a tile, if it has such a score: each cell, and its number that is
-    /// compared.
-    fn figures(&self, entry: &ScoredTile) -> Option<Vec<(String, f64)>> {
+    /// What the section shows of a tile, if it has such a score.
+    fn figures(&self, entry: &ScoredTile) -> Option<Vec<Cell>> {
         let scores = (self.part.scores)(entry);
         let of_class = |&class: &Class| {
-            let Ratio { mean, standard_error } =
-                (self.part.ratio)(scores.class(class, self.domain)?)?;
-            Some((format!("{mean:.4} ±{standard_error:.4}"), mean))
+            let score = (self.part.ratio)(scores.class(class, self.domain)?)?;
+            Some((ratio(score), score.mean))
         };
         let mut figures: Vec<_> = Class::ALL.iter().map(of_class).collect::<Option<_>>()?;
         if self.uniformity {
             let Histogram { smallest, largest, rms } = scores.histogram;
-            figures.push((format!("{:.2}", scores.bias), scores.bias));
-            figures.push((format!("{smallest:.2}–{largest:.2} ({rms:.4})"), rms));
-            figures.push((format!("{:.2}", scores.residual), scores.residual));
+            figures.push((figure(scores.bias), scores.bias));
+            figures.push((format!("{smallest:.2}–{largest:.2} ({})", figure(rms)), rms));
+            figures.push((figure(scores.residual), scores.residual));
         }
         Some(figures)
     }
 }
 
-/// A column's cell in the row below: the tile's number divided by that of the tile to compare with.
-fn quotient(column: usize, quotient: f64) -> String {
-    let text = if quotient.is_finite() { format!("{quotient:.3}") } else { "–".into() };
-    if column >= Class::ALL.len() {
-        return text;
-    }
-    // Below the numbers of the class, not below their errors.
-    format!("{:<1$}", format!("{text:>7}"), WIDTHS[column])
+/// The cell below `theirs`: its number divided by that of the tile to compare with. What stands before
+/// an error is divided, so the quotient ends where that ends.
+fn quotient(theirs: &Cell, ours: &Cell) -> String {
+    let quotient = theirs.1 / ours.1;
+    let text = if quotient.is_finite() { figure(quotient) } else { "–".into() };
+    let error = theirs.0.find(" ±").map_or(0, |at| theirs.0[at..].chars().count());
+    text + &" ".repeat(error)
+}
+
+/// Rows with their columns below each other, the first to the left and the others to the right.
+fn aligned(rows: &[Vec<String>]) -> Vec<String> {
+    let columns = rows.iter().map(Vec::len).max().unwrap_or(0);
+    let widths: Vec<usize> = (0..columns)
+        .map(|column| {
+            rows.iter().filter_map(|row| row.get(column)).map(|it| it.chars().count()).max()
+        })
+        .map(|width| width.unwrap_or(0))
+        .collect();
+    let row = |cells: &Vec<String>| {
+        let mut text = format!("{:1$}", cells[0], widths[0]);
+        for (cell, width) in cells.iter().zip(&widths).skip(1) {
+            text += &format!("{cell:>0$}", width + GAP);
+        }
+        text.trim_end().to_owned()
+    };
+    rows.iter().map(row).collect()
 }
 
 #[cfg(test)]
-mod tests {
-    use perceptile::metric::{ClassScore, ScoreOptions, Scores};
+pub(super) mod tests {
+    use perceptile::metric::{ClassScore, Ratio, ScoreOptions, Scores};
     use perceptile::tile::TileShape;
 
     use super::*;
 
     /// A tile whose every score is `level`, its bias and residual half of it.
-    fn entry(name: &str, dims: usize, frames: usize, level: f64) -> ScoredTile {
+    pub fn entry(name: &str, dims: usize, frames: usize, level: f64) -> ScoredTile {
         let shape = TileShape::new(8, 8, frames, 1, dims).unwrap();
         let ratio = Ratio { mean: level, standard_error: level / 100.0 };
         let classes = Domain::of(dims)
@@ -151,14 +184,37 @@ mod tests {
     }
 
     fn text(tiles: Vec<ScoredTile>) -> String {
+        of(tiles, true)
+    }
+
+    fn of(tiles: Vec<ScoredTile>, all: bool) -> String {
         let against = tiles[0].name.clone();
-        table(&Evaluation {
+        let evaluation = Evaluation {
             kernel: "none".into(),
             kernel_origin: "the default".into(),
             options: ScoreOptions::default(),
             against,
             tiles,
-        })
+        };
+        table(&evaluation, all)
+    }
+
+    #[test]
+    fn the_first_table_comes_with_a_verdict_and_the_others_on_request() {
+        let tiles = || vec![entry("ours", 2, 4, 0.1), entry("stbn", 2, 4, 0.5)];
+        let (first, all) = (of(tiles(), false), of(tiles(), true));
+        let verdict = "ours has 0.20 of stbn's perceived error";
+        for text in [&first, &all] {
+            assert!(text.lines().any(|line| line == verdict), "{text}");
+            assert!(
+                text.contains("2 means twice its error") && text.contains("new in every frame")
+            );
+        }
+        let tables = |text: &str| text.matches("axis edge").count();
+        assert_eq!((tables(&first), tables(&all)), (1, 5));
+        assert!(first.contains("--all shows 4 more tables") && !all.contains("--all"), "{first}");
+        let alone = of(vec![entry("ours", 2, 4, 0.1)], false);
+        assert!(!alone.contains('÷') && !alone.contains("perceived error of"), "{alone}");
     }
 
     #[test]
@@ -170,12 +226,12 @@ mod tests {
         assert!(heading.ends_with("residual"));
         assert_eq!(heading.chars().count(), stbn.chars().count());
         assert_eq!(stbn.chars().count(), ours.chars().count());
-        assert!(ours.contains("0.1000 ±0.0010") && ours.contains("0.90–1.10 (0.0100)"), "{ours}");
+        assert!(ours.contains("0.100 ±0.001") && ours.contains("0.90–1.10 (0.0100)"), "{ours}");
         assert!(comparison.starts_with("÷ stbn") && comparison.matches("0.200").count() == 8);
         let place = |line: &str, word: &str| {
             line.char_indices().position(|(byte, _)| line[byte..].starts_with(word)).unwrap()
         };
-        assert_eq!(place(ours, "0.1000"), place(comparison, "0.200"));
+        assert_eq!(place(ours, "0.100"), place(comparison, "0.200"));
         // No tile has the last kind of score.
         assert!(!text.contains("perceived\n") && text.contains("mean of half a period"));
     }
@@ -183,7 +239,8 @@ mod tests {
     #[test]
     fn tiles_of_other_dimensions_are_not_compared() {
         let text = text(vec![entry("flat", 2, 1, 0.5), entry("deep", 3, 4, 0.1)]);
-        assert!(!text.contains('÷'));
+        assert!(text.contains("other dimensions than flat: not compared"), "{text}");
+        assert_eq!(text.lines().filter(|line| line.starts_with('÷')).count(), 1);
         let pairs: Vec<&str> =
             text.lines().skip_while(|line| !line.contains("random pairs")).collect();
         assert!(pairs.iter().any(|line| line.starts_with("deep")));
