@@ -9,7 +9,7 @@ use perceptile::metric::{Baseline, ScoreOptions, ScoredTile};
 use perceptile::tile::Tile;
 
 use super::exit::Failure;
-use super::source::SourceArgs;
+use super::source::{self, SourceArgs};
 
 /// Seed of the comparison tiles.
 const BASELINE_SEED: u64 = 1;
@@ -44,13 +44,9 @@ pub fn read(
     };
     let mut candidates: Vec<Candidate> = Vec::new();
     for path in paths {
-        let source = source.at(path);
-        let tile = source.read()?;
-        // A folder's name has no extension, whatever dots it contains.
-        let stem =
-            if source.path.is_dir() { source.path.file_name() } else { source.path.file_stem() };
-        let name = unused(stem.unwrap_or("tile".as_ref()).to_string_lossy().into_owned());
-        candidates.push(Candidate { name, path: Some(source.path), tile });
+        let tile = source.read(&path)?;
+        let name = unused(source::name(&path));
+        candidates.push(Candidate { name, path: Some(path), tile });
     }
     if let Some(shape) = candidates.first().map(|first| first.tile.shape()) {
         for &baseline in baselines {

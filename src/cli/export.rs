@@ -1,55 +1,82 @@
 //! `perceptile export`: a tile as PNG files for a renderer.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 use perceptile::format::png::Depth;
+use perceptile::format::sidecar::Sidecar;
 use perceptile::format::slices::{SliceOptions, write_slices};
-use perceptile::format::write::{self, Existing};
+use perceptile::format::write::{self, Existing, Staged};
+use perceptile::tile::TileShape;
 
 use super::exit::Failure;
-use super::source::SourceArgs;
+use super::source::{self, SourceArgs};
 use super::stream::print;
 
-/// Write a tile as PNG files, one for each frame.
+/// Write a tile as PNG files, one for each frame
 ///
 /// A coordinate x becomes the level floor(256 x) or floor(65536 x): read it back as
 /// (level + 0.5) / 256 or (level + 0.5) / 65536. Two dimensions are red and green. With several
 /// samples per pixel or more than four dimensions, each file has one sample (and a pair of
-/// dimensions) and its name says which: TILE_f000_s00_d00.png.
+/// dimensions) and its name says which: TILE_f000_s00_d00.png. The tile's sidecar goes along as
+/// TILE.json, so that `evaluate` knows the kernel of the folder, too.
 #[derive(Debug, Args)]
+#[command(after_help = EXAMPLES)]
 pub struct ExportArgs {
-    /// The tile: a .npy file, a vertical strip of PNG slices, or a folder of PNG slices.
+    /// The tile: a .npy file, a vertical strip of PNG slices, or a folder of PNG slices
     tile: PathBuf,
 
-    /// What to write.
-    #[arg(long, value_enum)]
+    /// What to write
+    #[arg(long, value_enum, default_value_t = ExportFormat::Png8, help_heading = "Output")]
     format: ExportFormat,
 
     /// Folder for the files, and for slices of no other tile; it is made if the folder around it
-    /// exists.
-    #[arg(long, value_name = "DIR")]
-    out: PathBuf,
+    /// exists [default: NAME-png8 or NAME-png16 in the working directory, NAME that of the tile]
+    #[arg(long, value_name = "DIR", help_heading = "Output")]
+    out: Option<PathBuf>,
 
-    /// Write one picture with all frames below each other.
-    #[arg(long)]
+    /// Write one picture with all frames below each other
+    #[arg(long, help_heading = "Output")]
     strip: bool,
+
+    /// Replace files that exist, and remove slices of earlier exports that are in the folder
+    #[arg(long, help_heading = "Output")]
+    force: bool,
 
     #[command(flatten)]
     source: SourceArgs,
-
-    /// Replace files that exist, and remove slices of earlier exports that are in the folder.
-    #[arg(long)]
-    force: bool,
 }
+
+const EXAMPLES: &str = "\
+Examples:
+  perceptile export tile.npy
+  perceptile export tile.npy --format png16 --out textures";
 
 /// What `--format` offers.
 #[derive(Debug, Clone, Copy, ValueEnum)]
 enum ExportFormat {
-    /// PNG with 8 bits per channel.
+    /// PNG with 8 bits per channel
     Png8,
-    /// PNG with 16 bits per channel.
+    /// PNG with 16 bits per channel
     Png16,
+}
+
+impl ExportFormat {
+    fn depth(self) -> Depth {
+        match self {
+            Self::Png8 => Depth::Eight,
+            Self::Png16 => Depth::Sixteen,
+        }
+    }
+
+    /// The folder for a tile of this name, if none is given.
+    fn folder(self, name: &str) -> PathBuf {
+        let format = match self {
+            Self::Png8 => "png8",
+            Self::Png16 => "png16",
+        };
+        format!("{name}-{format}").into()
+    }
 }
 
 /// Reads the tile and writes its files.
@@ -58,18 +85,19 @@ enum ExportFormat {
 /// A tile that cannot be read, files that exist without `--force` or cannot be written, a folder
 /// with slices of another tile.
 pub fn run(args: ExportArgs) -> Result<(), Failure> {
-    let source = args.source.at(args.tile);
-    let tile = source.read()?;
-    let stem = source.path.file_stem().unwrap_or("tile".as_ref()).to_string_lossy();
-    let options = SliceOptions {
-        depth: match args.format {
-            ExportFormat::Png8 => Depth::Eight,
-            ExportFormat::Png16 => Depth::Sixteen,
-        },
-        strip: args.strip,
-    };
-    write::make_folder(&args.out)?;
-    let paths = write_slices(&tile, options, &args.out, &stem, Existing::from_force(args.force))?;
+    let ExportArgs { tile: path, format, out, strip, force, source } = args;
+    let tile = source.read(&path)?;
+    let name = source::name(&path);
+    let out = out.unwrap_or_else(|| format.folder(&name));
+    let options = SliceOptions { depth: format.depth(), strip };
+    let existing = Existing::from_force(force);
+    write::make_folder(&out)?;
+    // Whole before the first slice has its name, so that slices never stay without it.
+    let sidecar = sidecar_of(&path, tile.shape())
+        .map(|sidecar| stage(&sidecar, &out.join(name.clone() + ".json"), existing))
+        .transpose()?;
+    let paths = write_slices(&tile, options, &out, &name, existing)?;
+    sidecar.map(Staged::finish).transpose()?;
     let text = match &paths[..] {
         [first, .., last] => {
             format!("{} … {} ({} files)\n", first.display(), last.display(), paths.len())
@@ -78,4 +106,16 @@ pub fn run(args: ExportArgs) -> Result<(), Failure> {
         [] => String::new(),
     };
     Ok(print(&text)?)
+}
+
+/// The sidecar of a tile, if it has one: what is none of this tile stays where it is.
+fn sidecar_of(tile: &Path, shape: TileShape) -> Option<Sidecar> {
+    let sidecar = Sidecar::read(&Sidecar::find(tile)?).ok()?;
+    sidecar.describes(tile, shape).then_some(sidecar)
+}
+
+/// The copy of a sidecar, without its name yet.
+fn stage(sidecar: &Sidecar, path: &Path, existing: Existing) -> Result<Staged, Failure> {
+    write::probe([path], existing)?;
+    Ok(Staged::new(path, existing, |out| sidecar.put(out))?)
 }

@@ -218,7 +218,7 @@ fn wrong_arguments_are_refused() {
     ] {
         folder.fail(&[&["optimize"], args].concat(), 2, words);
     }
-    for args in [&["optimise"][..], &["kernel"], &["kernel", "box(2)", "b"], &["export", "x.npy"]] {
+    for args in [&["optimise"][..], &["kernel"], &["kernel", "box(2)", "b"], &["export"]] {
         folder.fail(args, 2, &["Usage"]);
     }
 }
@@ -729,6 +729,55 @@ fn tiles_are_evaluated_and_exported() {
 }
 
 /// Pieces of which arguments are made, sensible and not.
+#[test]
+fn an_export_needs_no_flags_and_keeps_the_provenance() {
+    let folder = Folder::new();
+    folder.small(&["--out", "a.npy"]);
+    let printed = folder.succeed(&["export", "a.npy"]);
+    assert_eq!(printed, "a-png8/a_f000.png … a-png8/a_f003.png (4 files)\n");
+    assert_eq!(folder.0.names("a-png8").len(), 5);
+    assert_eq!(folder.read("a-png8/a.json"), folder.read("a.json"));
+    folder.succeed(&["export", "a.npy", "--format", "png16"]);
+    assert_eq!(folder.0.names("a-png16").len(), 5);
+    let printed = folder.succeed(&["evaluate", "a-png8", "--integrands", "2"]);
+    let kernel = "kernel      gaussian(1) * ema(0.5) @ 3x3x4 (from a-png8/a.json)\n";
+    assert!(printed.starts_with(kernel), "{printed}");
+
+    // What stands there stays.
+    folder.fail(&["export", "a.npy"], 3, &["a-png8/a.json exists already", "--force"]);
+    folder.succeed(&["export", "a.npy", "--force"]);
+    folder.write("a-png8/mine.png", "precious");
+    folder.fail(&["export", "a.npy", "--force"], 3, &["mine.png", "choose another folder"]);
+
+    // The sidecar of another tile does not go along.
+    folder.write("b.npy", npy("(4, 9, 8, 1, 2)", &[0.5; 576]));
+    fs::copy(folder.path().join("a.json"), folder.path().join("b.json")).unwrap();
+    folder.succeed(&["export", "b.npy"]);
+    assert_eq!(folder.0.names("b-png8").len(), 4);
+}
+
+#[test]
+fn shells_and_manuals_are_told_all_commands() {
+    let folder = Folder::new();
+    for shell in ["bash", "zsh", "fish"] {
+        let text = folder.succeed(&["completions", shell]);
+        assert!(text.contains("evaluate") && text.contains("integrands"), "{shell}");
+    }
+    folder.fail(&["completions", "tcsh"], 2, &["tcsh", "bash"]);
+    assert!(folder.succeed(&["man"]).starts_with(".ie"));
+    assert!(folder.names().is_empty());
+    folder.succeed(&["man", "pages"]);
+    let pages = folder.0.names("pages");
+    for page in ["perceptile.1", "perceptile-optimize.1", "perceptile-evaluate.1"] {
+        assert!(pages.iter().any(|name| name == page), "no {page} in {pages:?}");
+    }
+    assert!(!pages.iter().any(|name| name.contains("worker")), "{pages:?}");
+    folder.write("pages/perceptile.1", "precious");
+    folder.fail(&["man", "pages"], 3, &["perceptile", "exists already", "--force"]);
+    folder.succeed(&["man", "pages", "--force"]);
+    assert_ne!(folder.read("pages/perceptile.1"), b"precious");
+}
+
 fn nonsense() -> impl Strategy<Value = String> {
     let piece = prop_oneof![
         prop::sample::select(
