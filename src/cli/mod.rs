@@ -3,6 +3,7 @@
 //! Everything that is printed is printed here; the library never sees a flag.
 
 mod candidates;
+mod completions;
 mod config;
 mod duration;
 mod evaluate;
@@ -11,6 +12,7 @@ mod exit;
 mod export;
 mod integrands;
 mod kernel;
+mod man;
 mod number;
 mod optimize;
 mod perceived;
@@ -62,6 +64,8 @@ enum Command {
     Export(export::ExportArgs),
     Profile(Box<profile::ProfileArgs>),
     Report(report::ReportArgs),
+    Completions(completions::CompletionsArgs),
+    Man(man::ManArgs),
     /// Take part in a run as one of its workers; started by a coordinator only
     #[command(name = WORKER, hide = true)]
     Worker,
@@ -113,6 +117,8 @@ fn run(
         Command::Export(args) => export::run(args).map(done),
         Command::Profile(args) => profile::run(&args).map(done),
         Command::Report(args) => report::run(args),
+        Command::Completions(args) => completions::run(&args, Arguments::command()).map(done),
+        Command::Man(args) => man::run(&args, Arguments::command()).map(done),
         #[cfg(unix)]
         Command::Worker => Ok(task::serve(&workers::take_part).map(done)?),
         #[cfg(not(unix))]
