@@ -4,9 +4,9 @@ use super::access::{Arrangement, Behaviour, DrawOrder};
 use super::roofline::{Bound, Rates, Store};
 use super::row::StageRow;
 use super::subject::Sizes;
-use super::units::size;
 use crate::gradient::probe::Stage;
 
+use crate::run::memory::size;
 /// What a profile found.
 #[derive(Debug, Clone, Copy)]
 pub struct Evidence<'a> {

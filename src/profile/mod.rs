@@ -35,6 +35,5 @@ pub mod stages;
 pub mod subject;
 pub mod trace;
 pub mod traffic;
-mod units;
 #[cfg(unix)]
 pub mod workers;

@@ -17,11 +17,11 @@ use super::roofline::{Rates, Work};
 use super::row::{self, StageRow};
 use super::subject::{Sizes, Subject};
 use super::traffic::{self, Subsets};
-use super::units::size;
 #[cfg(unix)]
 use super::workers::WorkersProfile;
 use crate::gradient::probe::Stage;
 use crate::gradient::simd::Simd;
+use crate::run::memory::size;
 use crate::tile::TileShape;
 
 /// Version of the form of [`Profile`] as JSON.

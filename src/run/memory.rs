@@ -1,6 +1,7 @@
 //! How much memory a run needs, and how much there is.
 
 mod limits;
+mod size;
 
 use std::path::Path;
 
@@ -11,12 +12,13 @@ use crate::run::plan::Plan;
 use crate::tile::Region;
 
 pub use limits::Limit;
+pub use size::size;
 
 /// A run that does not fit into the memory that this process can have.
 #[derive(Debug, Error, Clone, PartialEq, Eq)]
 #[error(
-    "the run needs about {} MB of memory, but only {} MB are free {limit}",
-    needed >> 20, free >> 20
+    "the run needs about {} of memory, but only {} are free {limit}",
+    size(*needed), size(*free)
 )]
 pub struct MemoryError {
     /// Bytes that the run needs.
@@ -105,7 +107,7 @@ mod tests {
         let error = compare(791 << 20, tightest.clone()).unwrap_err();
         assert_eq!(
             error.to_string(),
-            "the run needs about 791 MB of memory, but only 280 MB are free in the memory limit of \
+            "the run needs about 791.0 MB of memory, but only 280.0 MB are free in the memory limit of \
              control group /sys/fs/cgroup/job_1"
         );
         assert!(compare((280 << 20) + 1, tightest.clone()).is_err());

@@ -227,7 +227,7 @@ fn wrong_arguments_are_refused() {
 fn a_run_that_memory_cannot_hold_is_refused_at_once() {
     let folder = Folder::new();
     for tile in ["16384x16384x1024", "1048576x1048576x1", "1048576x1048576x1024"] {
-        folder.fail(&["optimize", "--preset", "salaun", "--tile", tile], 4, &["MB", "memory"]);
+        folder.fail(&["optimize", "--preset", "salaun", "--tile", tile], 4, &["B of memory"]);
     }
     // Its draws need more than its samples do.
     let draws =
