@@ -7,6 +7,7 @@ use perceptile::solver::Parallelism;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use super::exit::Misuse;
+use super::number::whole;
 
 /// Most threads; systems refuse far more of them, some only after having made thousands.
 const MAX_THREADS: usize = 1024;
@@ -17,15 +18,16 @@ const MAX_ALL_THREADS: usize = 1 << 14;
 
 /// Threads, workers and instructions.
 #[derive(Debug, Args)]
+#[command(next_help_heading = "Running")]
 pub struct ExecutionArgs {
     /// Threads of each worker or, without workers, of this process or rank, at most 1024; 0 shares out
     /// the cores
-    #[arg(help_heading = "Running", long, default_value_t = 0)]
+    #[arg(help_heading = "Running", long, value_name = "N", default_value_t = 0, value_parser = whole::<usize>)]
     threads: usize,
 
     /// Worker processes, at most 1024; 0 means threads in this process. They are of use on NUMA
     /// machines, and for runs that must survive
-    #[arg(help_heading = "Running", long, default_value_t = 0)]
+    #[arg(help_heading = "Running", long, value_name = "N", default_value_t = 0, value_parser = whole::<usize>)]
     pub workers: usize,
 
     /// Instruction set of the inner loops; of no influence on the tile

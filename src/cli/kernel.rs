@@ -26,11 +26,12 @@ const LISTED: usize = 20;
 /// largest taps. With --out it draws a picture as well: the taps frame by frame (newest first), the
 /// space-time slice, and the frequency response over (x, y) and over (x, t).
 #[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
 pub struct KernelArgs {
     /// The kernel, such as "gaussian(2.1) * fovvideovdp(60) @ 7x7x8"
     ///
     /// A product of none, gaussian(SIGMA), gaussian(SIGMA, radius=PIXELS), fovvideovdp(FPS),
-    /// ema(ALPHA), box(FRAMES), gaussian_t(SIGMA), gaussian_t(SIGMA, radius=FRAMES) and
+    /// ema(ALPHA) (ALPHA is the weight of the newest frame), box(FRAMES), gaussian_t(SIGMA), gaussian_t(SIGMA, radius=FRAMES) and
     /// table("FILE.npy", origin=(T, Y, X)); then, if wanted, "@" and the box WIDTHxHEIGHTxFRAMES
     /// or the share PERCENT% to keep (infinite kernels keep 97% by default). Or a mixture of such
     /// products, column and frame, each with its weight: "0.9: gaussian(2.1) * ema(0.2) + 0.1:
@@ -46,25 +47,30 @@ pub struct KernelArgs {
 
     /// Size of the tile that the kernel is for; column and frame need it, and in it a longer kernel
     /// wraps in time
-    #[arg(long, value_name = "WxHxF")]
+    #[arg(long, help_heading = "Kernel", value_name = "WxHxF")]
     pub tile: Option<TileSize>,
 
     /// List every tap instead of the 20 largest
-    #[arg(long)]
+    #[arg(long, help_heading = "Output")]
     pub all: bool,
 
     /// Print JSON, with every tap
-    #[arg(long)]
+    #[arg(long, help_heading = "Output")]
     pub json: bool,
 
     /// Draw the kernel and its frequency response into this PNG file
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, help_heading = "Output", value_name = "FILE")]
     pub out: Option<PathBuf>,
 
     /// Overwrite the picture if it exists
-    #[arg(long)]
+    #[arg(long, help_heading = "Output")]
     pub force: bool,
 }
+
+const EXAMPLES: &str = "\
+Examples:
+  perceptile kernel --fps 120 --taa 0.1
+  perceptile kernel 'gaussian(2.1) * ema(0.2) @ 7x7x15' --out kernel.png";
 
 /// Prints the kernel, and writes its picture if one is asked for.
 ///

@@ -34,7 +34,7 @@ use scaling::ScalingArgs;
 /// Show where time and memory traffic of a run go
 ///
 /// Takes the settings of `optimize` and does some steps of its descent, from a random start, with
-/// and without probes. Shows time, bytes and operations of each stage, and where it stands under
+/// and without probes. Shows how long the descent takes; time, bytes and operations of each stage, and where it stands under
 /// what this machine can do; for layouts of the tile and orders of the draws the cache lines and
 /// pages of a draw, and its misses on a model of this machine's caches; what the processor
 /// counts, where it is allowed to; and what to do about all that. With workers, also what each of them
@@ -45,9 +45,6 @@ use scaling::ScalingArgs;
 /// cluster makes of it.
 #[derive(Debug, Args)]
 pub struct ProfileArgs {
-    #[command(flatten)]
-    settings: Settings,
-
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -69,10 +66,13 @@ pub struct ProfileArgs {
     force: bool,
 
     #[command(flatten)]
-    execution: ExecutionArgs,
+    scaling: ScalingArgs,
 
     #[command(flatten)]
-    scaling: ScalingArgs,
+    execution: ExecutionArgs,
+
+    #[command(flatten, next_help_heading = "Settings of the run, as in optimize")]
+    settings: Settings,
 }
 
 /// Most events of a trace: some ten megabytes.

@@ -1,12 +1,13 @@
-//! Sentences that say what the numbers of a profile mean, and what to try.
+//! Sentences that say what the numbers of a profile mean, and what to try. Only what a flag can
+//! change is advised: draws of a step, threads, the kernel's box, the tile's size, instructions.
 
 use super::access::{Arrangement, Behaviour, DrawOrder};
 use super::roofline::{Bound, Rates, Store};
 use super::row::StageRow;
 use super::subject::Sizes;
 use crate::gradient::probe::Stage;
-
 use crate::run::memory::size;
+
 /// What a profile found.
 #[derive(Debug, Clone, Copy)]
 pub struct Evidence<'a> {
@@ -26,6 +27,8 @@ pub struct Evidence<'a> {
     pub blocks: usize,
     /// Draws of a step.
     pub draws: usize,
+    /// Whether the machine has better instructions than the run used.
+    pub is_simd_left_out: bool,
 }
 
 /// Nanoseconds that a miss costs which the next level answers: usual ones of server cores, to
@@ -37,8 +40,8 @@ const WAITING: f64 = 0.05;
 const UPDATE: f64 = 0.3;
 /// Share of a roof from which a stage is as fast as the machine lets it be.
 const NEAR: f64 = 0.6;
-/// What a layout has to save to be worth a word.
-const SAVING: f64 = 0.1;
+/// What helps where the machine cannot be faster.
+const LESS: &str = "only fewer draws a step (--draws) or a smaller kernel box help";
 /// Misses of a draw from which they are worth a word.
 const MISSES: f64 = 0.05;
 
@@ -60,10 +63,15 @@ pub fn advice(evidence: &Evidence<'_>) -> Vec<String> {
         sentences.push(longest(row, evidence.rates));
     }
     sentences.extend(misses(evidence));
-    sentences.extend(order(evidence));
     sentences.extend(window(evidence));
     sentences.extend(update(evidence));
     sentences.extend(waiting(evidence));
+    if evidence.is_simd_left_out {
+        sentences.push(
+            "the inner loops run without this machine's SIMD, and slower: --simd auto takes it."
+                .to_owned(),
+        );
+    }
     sentences
 }
 
@@ -81,7 +89,7 @@ fn longest(row: &StageRow, rates: &Rates) -> String {
     if placement.share > 1.0 {
         format!(
             "{begin}, and is faster than {roof} allows for copying ({share:.0} % of it): it comes \
-             from a cache, or in streams that suit the memory; only less work helps."
+             from a cache, or in streams that suit the memory; {LESS}."
         )
     } else if placement.bound == Bound::Memory && !rates.bandwidth(row.store).measured {
         format!(
@@ -89,7 +97,7 @@ fn longest(row: &StageRow, rates: &Rates) -> String {
              it could not be measured."
         )
     } else if placement.share >= NEAR {
-        format!("{begin}, and is bound by {roof} ({share:.0} % of it): only less work helps.")
+        format!("{begin}, and is bound by {roof} ({share:.0} % of it): {LESS}.")
     } else {
         format!(
             "{begin}, at {share:.0} % of what {roof} allows: it is bound by latency, branches and \
@@ -98,7 +106,7 @@ fn longest(row: &StageRow, rates: &Rates) -> String {
     }
 }
 
-/// The level whose misses cost the draws most, and the layout that has fewest of them.
+/// The level whose misses cost the draws most.
 fn misses(evidence: &Evidence<'_>) -> Option<String> {
     let rows = evidence.behaviour(Arrangement::Rows, DrawOrder::Sorted)?;
     let moving = evidence.share(Stage::Gather) + evidence.share(Stage::Scatter);
@@ -115,63 +123,13 @@ fn misses(evidence: &Evidence<'_>) -> Option<String> {
     if of[level] < MISSES {
         return Some(format!("{taken}; what they need is in the caches near the core."));
     }
-    let begin = format!(
-        "{taken}; they cost L{} misses most, {:.1} a draw, {} the larger part of them",
+    Some(format!(
+        "{taken}; they cost L{} misses most, {:.1} a draw, {} the larger part of them: a smaller \
+         kernel box or a smaller tile has fewer.",
         level + 1,
         of[level],
         stage.name()
-    );
-    let others = [Arrangement::Bricks, Arrangement::Curve, Arrangement::Linear];
-    let others = others.iter().filter_map(|&other| evidence.behaviour(other, DrawOrder::Sorted));
-    let best = others.min_by(|a, b| a.misses()[level].total_cmp(&b.misses()[level]))?;
-    let left = best.misses()[level] / of[level];
-    let name = best.arrangement.name();
-    if left >= 1.0 - SAVING {
-        return Some(format!(
-            "{begin}: no other layout helps, the next one, {name}, has {:.1}, copying included.",
-            best.misses()[level]
-        ));
-    }
-    let saved = 100.0 * (1.0 - left);
-    let measured = match best.measured.zip(rows.measured) {
-        Some((best, rows)) if best > rows => format!(
-            ", but a measured step takes {:.2} times as long: rows are the better choice",
-            best / rows
-        ),
-        Some((best, rows)) => {
-            format!(", and a measured step takes {:.0} % less time", 100.0 * (1.0 - best / rows))
-        }
-        None => ", which is not measured: a run has no such layout".into(),
-    };
-    Some(format!("{begin}: {name} would save {saved:.0} % of them, copying included{measured}."))
-}
-
-/// What sorting the draws saves.
-fn order(evidence: &Evidence<'_>) -> Option<String> {
-    let sorted = evidence.behaviour(Arrangement::Rows, DrawOrder::Sorted)?.misses();
-    let unsorted = evidence.behaviour(Arrangement::Rows, DrawOrder::Unsorted)?.misses();
-    let level = (0..3).max_by(|&a, &b| {
-        let saved = |level: usize| (unsorted[level] - sorted[level]) * LATENCIES[level];
-        saved(a).total_cmp(&saved(b))
-    })?;
-    let (sorted, unsorted) = (sorted[level], unsorted[level]);
-    if unsorted < MISSES {
-        return None;
-    }
-    Some(if sorted < unsorted * (1.0 - SAVING) {
-        format!(
-            "doing draws cell by cell saves {:.0} % of the L{} misses of a draw ({unsorted:.1} \
-             without order, {sorted:.1} with).",
-            100.0 * (1.0 - sorted / unsorted),
-            level + 1
-        )
-    } else {
-        format!(
-            "the order of draws is of little use here: {unsorted:.1} L{} misses a draw without, \
-             {sorted:.1} with.",
-            level + 1
-        )
-    })
+    ))
 }
 
 /// Whether what a cell sees outgrows the second cache.
@@ -179,8 +137,8 @@ fn window(evidence: &Evidence<'_>) -> Option<String> {
     let (seen, l2) = (2 * evidence.sizes.window, evidence.caches[1]);
     (seen > l2).then(|| {
         format!(
-            "what the draws of a cell see, {} with its gradient, outgrows L2 ({}): cells of {:.1} \
-             times fewer pixels, or fewer frames in the tile, would fit.",
+            "what the draws of a cell see, {} with its gradient, outgrows L2 ({}): a tile of {:.1} \
+             times fewer frames, or a smaller kernel box, would fit.",
             size(seen),
             size(l2),
             seen as f64 / l2 as f64
@@ -305,6 +263,7 @@ mod tests {
             threads: 2,
             blocks: 8,
             draws: 100,
+            is_simd_left_out: false,
         };
         advice(&evidence).join("\n")
     }
@@ -347,29 +306,50 @@ mod tests {
         let rows = stages([0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.5], 0.2);
         let caches = [1; 3];
         let (stages, layouts, sizes, rates) = (&rows[..], &[][..], &SIZES, &RATES);
-        let evidence =
-            Evidence { stages, layouts, sizes, rates, caches, threads: 8, blocks: 3, draws: 100 };
+        let evidence = Evidence {
+            stages,
+            layouts,
+            sizes,
+            rates,
+            caches,
+            threads: 8,
+            blocks: 3,
+            draws: 100,
+            is_simd_left_out: false,
+        };
         let text = advice(&evidence).join("\n");
         assert!(text.contains("blocks for 3 of them, but there are 8"), "{text}");
     }
 
     #[test]
-    fn a_layout_is_advised_if_it_saves_the_misses_that_cost() {
+    fn misses_are_told_by_the_level_that_costs_and_with_what_has_fewer() {
         let shares = [0.0, 0.3, 0.1, 0.1, 0.1, 0.3, 0.05, 0.05, 0.0];
         let rows = behaviour(Arrangement::Rows, DrawOrder::Sorted, [10.0, 8.0, 0.0]);
-        let with = |arrangement, misses| {
-            let other = behaviour(arrangement, DrawOrder::Sorted, misses);
-            say(&stages(shares, 0.2), &[rows.clone(), other], &SIZES)
-        };
-        let text = with(Arrangement::Bricks, [9.0, 4.0, 0.0]);
+        // Nobody can choose a layout or an order.
+        let curve = behaviour(Arrangement::Curve, DrawOrder::Sorted, [9.0, 2.0, 0.0]);
+        let unsorted = behaviour(Arrangement::Rows, DrawOrder::Unsorted, [90.0, 90.0, 0.0]);
+        let text = say(&stages(shares, 0.2), &[rows, curve, unsorted], &SIZES);
         assert!(text.contains("L2 misses most, 8.0 a draw, scatter the larger part"), "{text}");
-        assert!(text.contains("bricks would save 50 %") && text.contains("1.25 times"), "{text}");
-        let text = with(Arrangement::Curve, [9.0, 2.0, 0.0]);
-        assert!(text.contains("curve would save 75 %") && text.contains("25 % less"), "{text}");
-        let text = with(Arrangement::Linear, [9.0, 2.0, 0.0]);
-        assert!(text.contains("linear would save 75 %") && text.contains("not measured"), "{text}");
-        let text = with(Arrangement::Curve, [9.0, 9.0, 0.0]);
-        assert!(text.contains("no other layout helps, the next one, curve, has 9.0"), "{text}");
+        assert!(text.contains("a smaller kernel box or a smaller tile has fewer"), "{text}");
+        assert!(!text.contains("curve") && !text.contains("order"), "{text}");
+    }
+
+    #[test]
+    fn instructions_that_were_left_out_are_told() {
+        let rows = stages([0.1; 9], 0.2);
+        let evidence = |is_simd_left_out| Evidence {
+            stages: &rows,
+            layouts: &[],
+            sizes: &SIZES,
+            rates: &RATES,
+            caches: [1 << 30; 3],
+            threads: 2,
+            blocks: 8,
+            draws: 100,
+            is_simd_left_out,
+        };
+        assert!(advice(&evidence(true)).join("\n").contains("--simd auto"));
+        assert!(!advice(&evidence(false)).join("\n").contains("--simd"));
     }
 
     #[test]
@@ -381,17 +361,6 @@ mod tests {
             text.contains("is in the caches near the core") && !text.contains("order"),
             "{text}"
         );
-    }
-
-    #[test]
-    fn order_is_praised_for_what_it_saves() {
-        let of = |misses| {
-            let sorted = behaviour(Arrangement::Rows, DrawOrder::Sorted, [5.0, 1.0, 1.0]);
-            let unsorted = behaviour(Arrangement::Rows, DrawOrder::Unsorted, misses);
-            say(&stages([0.1; 9], 0.2), &[sorted, unsorted], &SIZES)
-        };
-        assert!(of([5.0, 4.0, 1.0]).contains("saves 75 % of the L2 misses"));
-        assert!(of([5.0, 1.0, 1.0]).contains("of little use"));
     }
 
     #[test]

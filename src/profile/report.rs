@@ -66,6 +66,8 @@ pub struct Profile {
     pub shape: TileShape,
     /// The kernel.
     pub kernel: String,
+    /// Steps of the whole descent.
+    pub steps: u32,
     /// Draws of a step.
     pub draws: usize,
     /// Directions of a draw.
@@ -172,6 +174,7 @@ impl Profile {
             threads: subject.threads(),
             blocks: subject.blocks().len(),
             draws,
+            is_simd_left_out: simd.name() != Simd::detect().name(),
         });
         Ok(Self {
             format: FORMAT,
@@ -181,6 +184,7 @@ impl Profile {
             simd: simd.name(),
             shape: subject.shape(),
             kernel: subject.options().kernel.to_string(),
+            steps: subject.options().steps,
             draws,
             directions: subject.options().draw.directions,
             sizes,
@@ -210,6 +214,10 @@ impl fmt::Display for Profile {
                 format!("L{} {}{assumed}", cache.geometry.level, size(cache.geometry.bytes))
             })
             .collect();
+        let step = whole.seconds * 1e3;
+        let decimals = if step < 10.0 { 2 } else { 1 };
+        let all = duration(whole.seconds * f64::from(self.steps));
+        writeln!(f, "{step:.decimals$} ms a step: {} steps take {all}\n", self.steps)?;
         writeln!(f, "tile      {}", self.shape)?;
         writeln!(f, "kernel    {}", self.kernel)?;
         writeln!(
@@ -233,9 +241,9 @@ impl fmt::Display for Profile {
             self.simd
         )?;
         if !(rates.l1.measured && rates.l2.measured) {
-            let what = "a cache cannot be measured while others use the machine: it is at least as \
-                        fast as what lies beyond it";
-            writeln!(f, "          ({what})")?;
+            let what = "others use the machine, so a cache seemed slower than what lies beyond it, \
+                        however often it was measured";
+            writeln!(f, "          disturbed: do not trust the roof; {what}")?;
         }
         writeln!(
             f,
@@ -356,13 +364,17 @@ impl fmt::Display for Profile {
             line("first use".into(), rows.reuse.cold)?;
         }
 
-        writeln!(f, "\ncounters of the processor, for each draw")?;
-        for row in &self.counters {
-            let text = match row.per_draw {
-                Some(per_draw) => format!("{per_draw:.2}"),
-                None => row.reading.to_string(),
-            };
-            writeln!(f, "  {:18} {text}", row.event.name())?;
+        if let Some(reason) = self.no_counters() {
+            writeln!(f, "\nhardware counters: none on this machine ({reason})")?;
+        } else {
+            writeln!(f, "\nhardware counters, for each draw")?;
+            for row in &self.counters {
+                let text = match row.per_draw {
+                    Some(per_draw) => format!("{per_draw:.2}"),
+                    None => row.reading.to_string(),
+                };
+                writeln!(f, "  {:18} {text}", row.event.name())?;
+            }
         }
 
         #[cfg(unix)]
@@ -377,9 +389,47 @@ impl fmt::Display for Profile {
     }
 }
 
+/// A time as people read it.
+fn duration(seconds: f64) -> String {
+    let whole = seconds.round() as u64;
+    match whole {
+        0..60 => format!("{seconds:.1} s"),
+        60..3600 => format!("{} min {} s", whole / 60, whole % 60),
+        _ => format!("{} h {} min", whole / 3600, whole % 3600 / 60),
+    }
+}
+
 impl Profile {
+    /// Why nothing at all was counted, if so.
+    fn no_counters(&self) -> Option<&str> {
+        let is_none = |row: &CounterRow| matches!(row.reading, Reading::Unavailable { .. });
+        match &self.counters.first()?.reading {
+            Reading::Unavailable { reason } if self.counters.iter().all(is_none) => Some(reason),
+            _ => None,
+        }
+    }
+
     /// What an arrangement and an order cost.
     pub fn behaviour(&self, arrangement: Arrangement, order: DrawOrder) -> Option<&Behaviour> {
         self.layouts.iter().find(|row| (row.arrangement, row.order) == (arrangement, order))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::duration;
+
+    #[test]
+    fn times_have_the_units_that_people_use() {
+        for (seconds, text) in [
+            (0.04, "0.0 s"),
+            (12.34, "12.3 s"),
+            (59.7, "1 min 0 s"),
+            (563.2, "9 min 23 s"),
+            (3600.0, "1 h 0 min"),
+            (100_000.0, "27 h 46 min"),
+        ] {
+            assert_eq!(duration(seconds), text);
+        }
     }
 }

@@ -212,6 +212,7 @@ fn wrong_arguments_are_refused() {
         (&["--threads", "-1"], &["-1"]),
         (&["--threads", "1000000000"], &["1000000000", "1024"]),
         (&["--integrands", "65537"], &["65537", "65536"]),
+        (&["--threads", "1e2"], &["whole number in digits"]),
         (&["--simd", "neon"], &["neon", "auto", "plain"]),
         (&["--stpes", "5"], &["--stpes", "--steps"]),
         (&["--kernel", "frame", "--tile", "256x256x2", "--polish", "3"], &["65536 taps", "polish"]),
@@ -700,13 +701,13 @@ fn tiles_are_evaluated_and_exported() {
     let kernel = ["--kernel", "gaussian(1) * ema(0.5) @ 3x3x4", "--integrands", "16"];
     let table = folder.succeed(&[&["evaluate", "a.npy", "b.npy"], &kernel[..]].concat());
     assert!(table.contains("linear") && table.contains("residual"), "{table}");
-    let json = folder.succeed(
     assert!(table.contains("of b's perceived error") && !table.contains("±0.0000"), "{table}");
     assert_eq!(table.matches("axis edge ").count(), 1, "{table}");
     let all = folder.succeed(&[&["evaluate", "a.npy", "b.npy", "--all"], &kernel[..]].concat());
     assert!(all.matches("axis edge ").count() > 3, "{all}");
     folder.fail(&["evaluate", "a.npy", "--integrands", "1e4"], 2, &["whole number in digits"]);
     folder.fail(&["evaluate", "a.png"], 1, &["the tile of this picture is a.npy"]);
+    let json = folder.succeed(
         &[&["evaluate", "a.npy", "b.npy", "--json", "--baselines", "white"], &kernel[..]].concat(),
     );
     let report: Value = serde_json::from_str(&json).unwrap();
@@ -728,7 +729,6 @@ fn tiles_are_evaluated_and_exported() {
     }
 }
 
-/// Pieces of which arguments are made, sensible and not.
 #[test]
 fn an_export_needs_no_flags_and_keeps_the_provenance() {
     let folder = Folder::new();
@@ -778,6 +778,7 @@ fn shells_and_manuals_are_told_all_commands() {
     assert_ne!(folder.read("pages/perceptile.1"), b"precious");
 }
 
+/// Pieces of which arguments are made, sensible and not.
 fn nonsense() -> impl Strategy<Value = String> {
     let piece = prop_oneof![
         prop::sample::select(
@@ -877,11 +878,29 @@ fn a_profile_shows_all_stages_layouts_and_counters() {
             assert!(table.lines().any(shown), "no {layout}, {order} in {table}");
         }
     }
-    for words in ["cycles", "TLB read misses", "advice\n- ", "reuse of lines", "takes most"] {
+    for words in ["hardware counters", "advice\n- ", "reuse of lines", "takes most"] {
         assert!(table.contains(words), "no {words:?} in {table}");
     }
+    // Each counter, or once why there is none.
+    let counters = ["cycles", "TLB read misses"].iter().all(|name| table.contains(name));
+    assert!(counters || table.contains("none on this machine ("), "{table}");
+    assert_eq!(table.matches("os error").count(), usize::from(!counters), "{table}");
+    let first = table.lines().next().unwrap();
+    assert!(first.contains(" ms a step: 16000 steps take "), "{first}");
     // It makes no tile.
     assert!(folder.names().is_empty());
+}
+
+#[test]
+fn a_profile_takes_how_the_animation_is_watched_and_its_own_flags_come_first() {
+    let folder = Folder::new();
+    let watched = ["profile", "--tile", "24x20x4", "--draws", "64", "--measure", "0.05", "--json"];
+    let json = folder.succeed(&[&watched[..], &["--fps", "24", "--sigma", "1"]].concat());
+    let profile: Value = serde_json::from_str(&json).unwrap();
+    let kernel = profile["kernel"].as_str().unwrap();
+    assert!(kernel.contains("gaussian(1) * fovvideovdp(24)"), "{kernel}");
+    let help = folder.succeed(&["profile", "--help"]);
+    assert!(help.find("--trace").unwrap() < help.find("--preset").unwrap(), "{help}");
 }
 
 #[test]

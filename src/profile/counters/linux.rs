@@ -25,7 +25,12 @@ impl Counter {
     /// Enabled from the start, since a counter that is enabled later leaves out the threads that
     /// it was not there for.
     fn build(builder: &mut Builder<'_>) -> Result<Self, String> {
-        builder.inherit(true).enabled(true).build().map(Self).map_err(|error| error.to_string())
+        builder
+            .inherit(true)
+            .enabled(true)
+            .build()
+            .map(Self)
+            .map_err(|error| format!("perf_event_open: {error}"))
     }
 
     /// The counter now.
