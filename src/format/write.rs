@@ -303,11 +303,19 @@ fn temporary(folder: &Path) -> io::Result<Temporary> {
         builder.permissions(fs::Permissions::from_mode(0o666));
     }
     let (file, unfinished) = Unfinished::make(|| {
-        let file = builder.tempfile_in(folder)?;
+        let file = builder.tempfile_in(folder).map_err(unnamed)?;
         let path = file.path().to_owned();
         Ok::<_, io::Error>((file, path))
     })?;
     Ok(Temporary { file, unfinished })
+}
+
+/// An error without the name of a temporary file, which means nothing to people.
+fn unnamed(error: io::Error) -> io::Error {
+    match error.to_string().split_once(" at path ") {
+        Some((what, _)) => io::Error::new(error.kind(), what),
+        None => error,
+    }
 }
 
 #[cfg(test)]
@@ -372,6 +380,13 @@ mod tests {
         .unwrap();
         assert_eq!(only(), folder.path().join("a"));
         assert!(!unfinished::is_registered(&temporary) && !unfinished::is_registered(&only()));
+    }
+
+    #[test]
+    fn a_folder_that_refuses_files_is_told_without_a_temporary_name() {
+        let error = temporary(Path::new("/nowhere")).err().unwrap();
+        assert_eq!(error.kind(), io::ErrorKind::NotFound);
+        assert!(!error.to_string().contains("perceptile"), "{error}");
     }
 
     #[test]
