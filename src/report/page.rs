@@ -198,8 +198,8 @@ fn viewer(options: &ReportOptions, views: &Views, cards: &[Card]) -> Markup {
     html! {
         h2 { "Error in motion" }
         p {
-            "Every pixel integrates one function with the tile's samples; what is shown is how far \
-             it is off."
+            "Each pixel integrates one function with the tile’s samples; shown is how far it is \
+             off."
         }
         section #viewer aria-label="Viewer" {
             noscript { p { "The animations need JavaScript." } }

@@ -19,8 +19,8 @@ pub(super) fn section(cards: &[Card]) -> Markup {
                  amplitude, white noise’s is mid-gray, frequency 0 is in the middle. Above, XY: \
                  the mean over all frames, with the kernel at temporal frequency 0. Below, XT: the \
                  mean over all rows of pixels, temporal frequency down, with the kernel at \
-                 vertical frequency 0. Lines: where the kernel lets pass half of its largest \
-                 amplitude (solid) and 20 dB less than that amplitude (dashed)."
+                 vertical frequency 0. Lines: where the kernel lets pass half (solid) and a tenth \
+                 (dashed) of its largest amplitude."
             }
             div.pictures.spectra {
                 @for card in cards {
