@@ -11,6 +11,7 @@ use perceptile::tile::{ShapeError, TileShape};
 use serde::{Deserialize, Serialize};
 
 use super::exit::{Failure, Misuse};
+use super::number::whole;
 use super::viewing::ViewingArgs;
 
 /// Width × height × frames of a tile, written `128x128x30`.
@@ -120,15 +121,15 @@ settings! {
     tile: TileSize,
 
     /// Samples per pixel, 1 to 64 [default: 1]
-    #[arg(value_name = "N", help_heading = "Tile")]
+    #[arg(value_name = "N", help_heading = "Tile", value_parser = whole::<usize>)]
     spp: usize,
 
     /// Dimensions of a sample, 1 to 16 [default: 2]
-    #[arg(value_name = "N", help_heading = "Tile")]
+    #[arg(value_name = "N", help_heading = "Tile", value_parser = whole::<usize>)]
     dims: usize,
 
     /// Seed of the random numbers [default: 1]
-    #[arg(value_name = "N", help_heading = "Tile")]
+    #[arg(value_name = "N", help_heading = "Tile", value_parser = whole::<u64>)]
     seed: u64 => seed,
 
     /// `random`, `stratified`, or a tile to start from [default: random]
@@ -142,19 +143,19 @@ settings! {
 
     /// Steps of stochastic gradient descent; fewer than the preset's shorten the polish as well
     /// [default: 16000; quick 500; paper 10000; paper-taa 10000; salaun 3000]
-    #[arg(value_name = "N", help_heading = "Descent (for experts)")]
+    #[arg(value_name = "N", help_heading = "Descent (for experts)", value_parser = whole::<u32>)]
     steps: u32 => steps,
 
     /// Stop after so many steps of descent and polish together; schedules stay as they are
-    #[arg(value_name = "STEPS", help_heading = "Descent (for experts)")]
+    #[arg(value_name = "STEPS", help_heading = "Descent (for experts)", value_parser = whole::<u32>)]
     stop_after: u32 => stop_after,
 
     /// Random draws per step (each: a pixel, a threshold, directions) [default: 4096]
-    #[arg(value_name = "N", help_heading = "Descent (for experts)")]
+    #[arg(value_name = "N", help_heading = "Descent (for experts)", value_parser = whole::<usize>)]
     draws: usize => draw.draws,
 
     /// Directions for each draw, 1 to 16 [default: 2; paper 1; paper-taa 1]
-    #[arg(value_name = "N", help_heading = "Descent (for experts)")]
+    #[arg(value_name = "N", help_heading = "Descent (for experts)", value_parser = whole::<usize>)]
     directions: usize => draw.directions,
 
     /// Share of the threshold range that is drawn from; the paper's is 1 [default: 0.75]
@@ -191,7 +192,7 @@ settings! {
 
     /// Full-batch steps after the descent; above one sample per pixel and beside two dimensions they
     /// are 0 unless given here [default: 150; quick 30; paper 80; paper-taa 80; salaun 50]
-    #[arg(value_name = "STEPS", help_heading = "Polish (for experts)")]
+    #[arg(value_name = "STEPS", help_heading = "Polish (for experts)", value_parser = whole::<u32>)]
     polish: u32 => polish.steps,
 
     /// Adam's step size at the start of the polish [default: 0.02]
@@ -207,7 +208,7 @@ settings! {
     polish_linear_weight: f64 => polish.linear_weight,
 
     /// Iterations of the final pass that makes the samples uniform; 0 skips it [default: 400]
-    #[arg(value_name = "N", help_heading = "Polish (for experts)")]
+    #[arg(value_name = "N", help_heading = "Polish (for experts)", value_parser = whole::<u32>)]
     warp: u32 => warp.frames,
 
     /// Step length of that pass, above 0 and at most 1 [default: 0.5]
