@@ -49,7 +49,11 @@ use stream::print;
 /// closed terminal, Ctrl-C or SIGTERM, with the result so far written (a report is made whole or
 /// not at all).
 #[derive(Debug, Parser)]
-#[command(name = "perceptile", version, arg_required_else_help = true)]
+#[command(
+    name = "perceptile",
+    version = env!("PERCEPTILE_VERSION"),
+    arg_required_else_help = true
+)]
 struct Arguments {
     #[command(subcommand)]
     command: Command,

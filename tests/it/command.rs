@@ -142,6 +142,21 @@ fn npy(shape: &str, values: &[f32]) -> Vec<u8> {
 }
 
 #[test]
+fn the_version_names_the_commit_and_tiles_do_not() {
+    let folder = Folder::new();
+    let version = env!("CARGO_PKG_VERSION");
+    let printed = folder.succeed(&["--version"]);
+    let commit = printed.strip_prefix(&format!("perceptile {version}")).unwrap().trim_end();
+    // Without git there is none.
+    let hash = commit.strip_prefix(" (").and_then(|rest| rest.strip_suffix(')'));
+    let hexadecimal = |hash: &str| hash.len() >= 7 && hash.chars().all(|c| c.is_ascii_hexdigit());
+    assert!(commit.is_empty() || hash.is_some_and(hexadecimal), "{printed}");
+    folder.succeed(SMALL);
+    let sidecar = Sidecar::read(&folder.path().join("tile.json")).unwrap();
+    assert_eq!(sidecar.version, version);
+}
+
+#[test]
 fn a_run_leaves_a_tile_its_provenance_and_its_picture() {
     let folder = Folder::new();
     let printed = folder.small(&[]);
