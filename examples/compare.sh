@@ -35,7 +35,7 @@ score() {
     shift 3
     printf '\n## %s\n\n' "$title"
     # shellcheck disable=SC2086
-    "$perceptile" evaluate --kernel "$kernel" --set "$set_number" $options "$@"
+    "$perceptile" evaluate --all --kernel "$kernel" --set "$set_number" $options "$@"
 }
 
 tiles() { for name in "$@"; do printf '%s\n' "$dir/$name.npy"; done; }

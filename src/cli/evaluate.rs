@@ -4,7 +4,6 @@ mod figure;
 mod table;
 mod verdict;
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use perceptile::format::write::{self, Existing};
@@ -16,7 +15,7 @@ use super::candidates::{self, Candidate, progress};
 use super::exit::Failure;
 use super::integrands::IntegrandsArgs;
 use super::perceived::PerceivedArgs;
-use super::source::SourceArgs;
+use super::source::{self, SourceArgs};
 use super::stream::show;
 
 /// Score tiles: perceived error, uniformity, accumulation, quantization
@@ -135,15 +134,10 @@ fn candidates(args: &EvaluateArgs) -> Result<Vec<Candidate>, Failure> {
     let mut paths = args.tiles.clone();
     if let Some(against) = &args.against {
         // Given as one of the tiles as well, it is not scored twice.
-        paths.retain(|path| !same_file(path, against));
+        paths.retain(|path| !source::is_same(path, against));
         paths.insert(0, against.clone());
     }
     candidates::read(paths, &args.source, &args.baselines)
-}
-
-/// Whether two paths lead to one file.
-fn same_file(a: &Path, b: &Path) -> bool {
-    a == b || matches!((fs::canonicalize(a), fs::canonicalize(b)), (Ok(a), Ok(b)) if a == b)
 }
 
 /// Where a spectrum is saved.
@@ -165,6 +159,8 @@ fn save_spectra(folder: &Path, entry: &ScoredTile, existing: Existing) -> Result
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use clap::Parser;
     use perceptile::tile::TileShape;
 

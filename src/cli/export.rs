@@ -1,5 +1,6 @@
 //! `perceptile export`: a tile as PNG files for a renderer.
 
+use std::fs;
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
@@ -93,8 +94,11 @@ pub fn run(args: ExportArgs) -> Result<(), Failure> {
     let existing = Existing::from_force(force);
     write::make_folder(&out)?;
     // Whole before the first slice has its name, so that slices never stay without it.
+    let copy = out.join(name.clone() + ".json");
     let sidecar = sidecar_of(&path, tile.shape())
-        .map(|sidecar| stage(&sidecar, &out.join(name.clone() + ".json"), existing))
+        // In the tile's own folder it is there already.
+        .filter(|sidecar| !source::is_same(sidecar, &copy))
+        .map(|sidecar| stage(&sidecar, &copy, existing))
         .transpose()?;
     let paths = write_slices(&tile, options, &out, &name, existing)?;
     sidecar.map(Staged::finish).transpose()?;
@@ -109,13 +113,13 @@ pub fn run(args: ExportArgs) -> Result<(), Failure> {
 }
 
 /// The sidecar of a tile, if it has one: what is none of this tile stays where it is.
-fn sidecar_of(tile: &Path, shape: TileShape) -> Option<Sidecar> {
-    let sidecar = Sidecar::read(&Sidecar::find(tile)?).ok()?;
-    sidecar.describes(tile, shape).then_some(sidecar)
+fn sidecar_of(tile: &Path, shape: TileShape) -> Option<PathBuf> {
+    let path = Sidecar::find(tile)?;
+    Sidecar::read(&path).ok()?.describes(tile, shape).then_some(path)
 }
 
 /// The copy of a sidecar, without its name yet.
-fn stage(sidecar: &Sidecar, path: &Path, existing: Existing) -> Result<Staged, Failure> {
-    write::probe([path], existing)?;
-    Ok(Staged::new(path, existing, |out| sidecar.put(out))?)
+fn stage(sidecar: &Path, copy: &Path, existing: Existing) -> Result<Staged, Failure> {
+    write::probe([copy], existing)?;
+    Ok(Staged::new(copy, existing, |out| out.write_all(&fs::read(sidecar)?))?)
 }

@@ -1,5 +1,6 @@
 //! How tiles are read that their files do not fully describe: flags of every command that does.
 
+use std::fs;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
@@ -7,7 +8,6 @@ use perceptile::format::png::Channels;
 use perceptile::format::source::{SourceError, TileSource};
 use perceptile::tile::Tile;
 
-use super::exit::Failure;
 use super::number::whole;
 
 /// What the file of a tile may leave open.
@@ -35,18 +35,9 @@ impl SourceArgs {
     /// Reads the tile at a path.
     ///
     /// # Errors
-    /// What keeps it from being read. `optimize` leaves a picture beside each tile, which people take
-    /// for it.
-    pub fn read(&self, path: &Path) -> Result<Tile, Failure> {
-        self.at(path.to_owned()).read().map_err(|error| {
-            let tile = path.with_extension("npy");
-            let is_picture = matches!(error, SourceError::Strip { .. }) && tile.is_file();
-            let failure = Failure::from(error);
-            if !is_picture {
-                return failure;
-            }
-            failure.hinted(format_args!("; the tile of this picture is {}", tile.display()))
-        })
+    /// What keeps it from being read.
+    pub fn read(&self, path: &Path) -> Result<Tile, SourceError> {
+        self.at(path.to_owned()).read()
     }
 
     /// The flags that say the same.
@@ -65,4 +56,9 @@ impl SourceArgs {
 pub fn name(path: &Path) -> String {
     let name = if path.is_dir() { path.file_name() } else { path.file_stem() };
     name.unwrap_or("tile".as_ref()).to_string_lossy().into_owned()
+}
+
+/// Whether two paths lead to one file.
+pub fn is_same(a: &Path, b: &Path) -> bool {
+    a == b || matches!((fs::canonicalize(a), fs::canonicalize(b)), (Ok(a), Ok(b)) if a == b)
 }

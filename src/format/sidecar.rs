@@ -191,16 +191,10 @@ impl Sidecar {
     /// # Errors
     /// Those of [`write::write`].
     pub fn write(&self, path: &Path, existing: Existing) -> Result<(), WriteError> {
-        write::write(path, existing, |out| self.put(out))
-    }
-
-    /// Puts the text of the file into `out`.
-    ///
-    /// # Errors
-    /// What `out` reports.
-    pub fn put(&self, out: &mut dyn io::Write) -> io::Result<()> {
-        serde_json::to_writer_pretty(&mut *out, self)?;
-        writeln!(out)
+        write::write(path, existing, |out| {
+            serde_json::to_writer_pretty(&mut *out, self)?;
+            writeln!(out)
+        })
     }
 }
 
