@@ -268,7 +268,7 @@ fn what_exists_is_replaced_only_with_force() {
     }
     folder.fail(&["export", "a.npy", "--format", "png8", "--out", "nowhere/deep"], 1, &["nowhere"]);
     folder.succeed(&["export", "a.npy", "--format", "png8", "--out", "slices"]);
-    let slice = fs::read_dir(folder.path().join("slices")).unwrap().next().unwrap().unwrap().path();
+    let slice = folder.path().join("slices/a_f000.png");
     fs::write(&slice, b"precious").unwrap();
     folder.fail(&["export", "a.npy", "--format", "png8", "--out", "slices"], 3, &["--force"]);
     assert_eq!(fs::read(&slice).unwrap(), b"precious");
