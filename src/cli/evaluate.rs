@@ -1,6 +1,5 @@
 //! `perceptile evaluate`: how good tiles are, ours and others', in one table and in words.
 
-mod figure;
 mod table;
 mod verdict;
 

@@ -2,7 +2,7 @@
 
 use perceptile::format::sidecar::Sidecar;
 use perceptile::kernel::{Dropped, KernelClass};
-use perceptile::metric::{Domain, Histogram, Scores};
+use perceptile::metric::{Domain, Histogram, Scores, figure, ratio};
 use perceptile::run::driver::Output;
 use perceptile::run::forecast::Forecast;
 use perceptile::run::output::OutputFiles;
@@ -141,13 +141,12 @@ pub fn describe(
         for class in &scores.classes {
             let pairs = if class.domain == Domain::Pairs { ", pairs" } else { "" };
             let name = format!("{}{pairs}", class.class);
-            let perceived = class.perceived;
-            line(format!("  {name:22} {:.4} +- {:.4}", perceived.mean, perceived.standard_error));
+            line(format!("  {name:22} {}", ratio(class.perceived)));
         }
         let Histogram { smallest, largest, rms } = scores.histogram;
-        line(format!("  bias * sqrt(N)         {:.2}", scores.bias));
-        line(format!("  histogram              {smallest:.2}-{largest:.2} (rms {rms:.3})"));
-        line(format!("  residual               {:.3}", scores.residual));
+        line(format!("  bias·√N                {}", figure(scores.bias)));
+        line(format!("  histogram              {smallest:.2}–{largest:.2} (rms {})", figure(rms)));
+        line(format!("  residual               {}", figure(scores.residual)));
     }
     line(format!("tile        {}", files.tile.display()));
     line(format!("picture     {}", files.picture.display()));

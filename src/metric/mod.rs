@@ -27,7 +27,7 @@ mod uniformity;
 pub use accumulation::accumulated_mean_square;
 pub use baseline::{Baseline, UnknownBaseline};
 pub use error::ScoreError;
-pub use figure::figure;
+pub use figure::{digits, figure, ratio};
 pub use integrand::{Class, Domain, Integrand, IntegrandSet, LEAST_VARIANCE, integrand_sets};
 pub use perceived::{MeanSquares, Perceived, PerceivedWorkspace};
 pub use quantization::quantized;

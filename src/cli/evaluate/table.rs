@@ -1,8 +1,7 @@
 //! The scores as a table for people.
 
-use perceptile::metric::{Class, Domain, Histogram, ScoredTile, ShownScore};
+use perceptile::metric::{Class, Domain, Histogram, ScoredTile, ShownScore, figure, ratio};
 
-use super::figure::{figure, ratio};
 use super::{Evaluation, verdict};
 
 /// Spaces between two columns.

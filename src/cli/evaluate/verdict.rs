@@ -1,9 +1,7 @@
 //! What the first table comes to, in words: how much of each other tile's perceived error is left
 //! with the tile that all are compared with.
 
-use perceptile::metric::{Class, Domain, ScoredTile};
-
-use super::figure::digits;
+use perceptile::metric::{Class, Domain, ScoredTile, digits};
 
 /// One line for each tile after the first, which is the one that they are compared with.
 pub(super) fn lines(tiles: &[ScoredTile]) -> Vec<String> {
