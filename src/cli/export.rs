@@ -40,7 +40,8 @@ pub struct ExportArgs {
     #[arg(long, help_heading = "Output")]
     strip: bool,
 
-    /// Replace files that exist, and remove slices of earlier exports that are in the folder
+    /// Replace files that exist, and remove slices of earlier exports that are in the folder, with
+    /// their sidecar
     #[arg(long, help_heading = "Output")]
     force: bool,
 
@@ -100,8 +101,12 @@ pub fn run(args: ExportArgs) -> Result<(), Failure> {
         .filter(|sidecar| !source::is_same(sidecar, &copy))
         .map(|sidecar| stage(&sidecar, &copy, existing))
         .transpose()?;
+    let earlier = Sidecar::find(&out).filter(|earlier| *earlier != copy);
     let paths = write_slices(&tile, options, &out, &name, existing)?;
     sidecar.map(Staged::finish).transpose()?;
+    if let Some(earlier) = earlier.filter(|_| force) {
+        remove_orphan(&earlier)?;
+    }
     let text = match &paths[..] {
         [first, .., last] => {
             format!("{} … {} ({} files)\n", first.display(), last.display(), paths.len())
@@ -116,6 +121,17 @@ pub fn run(args: ExportArgs) -> Result<(), Failure> {
 fn sidecar_of(tile: &Path, shape: TileShape) -> Option<PathBuf> {
     let path = Sidecar::find(tile)?;
     Sidecar::read(&path).ok()?.describes(tile, shape).then_some(path)
+}
+
+/// Removes the sidecar of an earlier export whose slices are gone, and nothing else: not one that is
+/// beside its tile, nor what only has the name of one.
+fn remove_orphan(sidecar: &Path) -> Result<(), Failure> {
+    let is_used = Sidecar::has_slices(sidecar) || sidecar.with_extension("npy").exists();
+    if is_used || Sidecar::read(sidecar).is_err() {
+        return Ok(());
+    }
+    let what = format!("cannot remove {}", sidecar.display());
+    fs::remove_file(sidecar).map_err(Failure::refused(&what))
 }
 
 /// The copy of a sidecar, without its name yet.

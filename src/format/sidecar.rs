@@ -117,21 +117,21 @@ impl Sidecar {
             return (path != tile && path.symlink_metadata().is_ok()).then_some(path);
         }
         let entries = fs::read_dir(tile).ok()?.filter_map(|entry| Some(entry.ok()?.path()));
-        let (names, others): (Vec<PathBuf>, Vec<PathBuf>) =
-            entries.partition(|path| path.extension().is_some_and(|it| it == "json"));
-        let mut named = names.into_iter().filter(|sidecar| {
-            let Some(stem) = sidecar.file_stem().and_then(|stem| stem.to_str()) else {
-                return false;
-            };
-            let slices = format!("{stem}_f");
-            let strip = tile.join(format!("{stem}.png"));
-            let name = |path: &PathBuf| path.file_name()?.to_str().map(str::to_owned);
-            others.iter().any(|path| {
-                *path == strip || name(path).is_some_and(|name| name.starts_with(&slices))
-            })
-        });
+        let is_json = |path: &PathBuf| path.extension().is_some_and(|it| it == "json");
+        let mut named = entries.filter(is_json).filter(|path| Self::has_slices(path));
         let only = named.next()?;
         named.next().is_none().then_some(only)
+    }
+
+    /// Whether slices or a strip with the name of a sidecar lie beside it.
+    pub fn has_slices(sidecar: &Path) -> bool {
+        let Some(stem) = sidecar.file_stem().and_then(|stem| stem.to_str()) else {
+            return false;
+        };
+        let (slices, strip) = (format!("{stem}_f"), format!("{stem}.png"));
+        let is_picture = |name: &str| name == strip || name.starts_with(&slices);
+        let entries = fs::read_dir(write::folder_of(sidecar)).into_iter().flatten().flatten();
+        entries.into_iter().any(|entry| entry.file_name().to_str().is_some_and(is_picture))
     }
 
     /// Whether this is the sidecar of the tile of this shape that was read from a path. A `.npy` file

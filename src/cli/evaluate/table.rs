@@ -24,8 +24,9 @@ pub(super) fn table(report: &Evaluation, all: bool) -> String {
             "integrands  {} of each class, set {}; ± is the standard error over them",
             report.options.integrands, report.options.set
         ),
-        "scores      mean square error over a class, lower is better. 1 is white noise that is new in \
-         every frame; a tile repeats, and a kernel longer than it is folded at its period"
+        "scores      mean square error over a class; lower is better".to_owned(),
+        "            1 is white noise that is new in every frame; a tile repeats, and a kernel longer \
+         than it is folded at its period"
             .to_owned(),
     ];
     if report.tiles.len() > 1 {

@@ -35,10 +35,11 @@ fn line(reference: &ScoredTile, other: &ScoredTile) -> String {
     }
     let worse: Vec<&str> =
         ratios.iter().filter(|(_, ratio)| *ratio > 1.0).map(|&(class, _)| plural(class)).collect();
-    let but = match worse.len() {
-        0 => String::new(),
-        all if all == ratios.len() => "; worse for all".into(),
-        _ => format!("; worse for {}", worse.join(" and ")),
+    let but = match &worse[..] {
+        [] => String::new(),
+        all if all.len() == ratios.len() => "; worse for all".into(),
+        [one] => format!("; worse for {one}"),
+        [some @ .., last] => format!("; worse for {} and {last}", some.join(", ")),
     };
     format!(
         "{ours} has {low}–{high} of {theirs}'s perceived error (least for {}, most for {}{but})",
@@ -50,7 +51,7 @@ fn line(reference: &ScoredTile, other: &ScoredTile) -> String {
 /// What the integrands of a class are called.
 fn plural(class: Class) -> &'static str {
     match class {
-        Class::Linear => "linear ones",
+        Class::Linear => "linear functions",
         Class::Edge => "edges",
         Class::AxisEdge => "axis edges",
         Class::Bump => "bumps",
