@@ -20,7 +20,10 @@ const viewer = page.locator('#viewer');
 await viewer.scrollIntoViewIfNeeded();
 await viewer.getByRole('radio', { name: 'Soft shadow' }).check();
 await viewer.evaluate((element) => element.scrollIntoView());
-await page.waitForTimeout(6000);
+// It looks ready until the other pictures are begun.
+await page.waitForTimeout(500);
+await page.waitForSelector('#viewer[data-state=ready]', { timeout: 0 });
+await page.waitForTimeout(500);
 await page.screenshot({ path: path.join(folder, 'report-viewer.png') });
 
 const scenes = page.locator('#scenes');
