@@ -509,7 +509,7 @@ test('zoom and pan show the same place of every picture', async () => {
 
   // The wheel zooms the frame that has the focus. That it was turned is told before the page knows.
   await page.mouse.wheel(0, -100);
-  while ((await camera(page))[0] === start) await settle(page);
+  await page.waitForFunction((zoom) => Number(document.getElementById('viewer').dataset.camera.split(' ')[0]) > zoom, start);
   await slide(page, 'Zoom', 8);
   await settle(page);
   const large = await greys(page, 0);

@@ -114,8 +114,9 @@
         event.preventDefault();
         if (event.timeStamp - lastWheel > 300) wish = camera.zoom;
         lastWheel = event.timeStamp;
+        // A notch is 100 pixels or more: enough for the next whole zoom, also from the smallest.
         const pixels = event.deltaMode === 0 ? event.deltaY : event.deltaY * 33;
-        zoomBy(Math.exp(-pixels * (event.ctrlKey ? 0.01 : 0.004)), event.clientX, event.clientY);
+        zoomBy(Math.exp(-pixels * (event.ctrlKey ? 0.01 : 0.005)), event.clientX, event.clientY);
       },
       { passive: false },
     );
