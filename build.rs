@@ -2,13 +2,16 @@
 //! what is written beside them know the version alone.
 //!
 //! Without git, or where the package is not a checkout of its own, as when it comes from a registry,
-//! the commit is left out.
+//! the commit is left out. It is asked for when the program itself has changed: a commit that changes
+//! tests or pages alone builds nothing anew, and the version goes on naming the one before it.
 
 use std::path::Path;
 use std::process::Command;
 
 fn main() {
-    println!("cargo::rerun-if-changed=build.rs");
+    for program in ["build.rs", "Cargo.toml", "src"] {
+        println!("cargo::rerun-if-changed={program}");
+    }
     let version = env!("CARGO_PKG_VERSION");
     // Only the command prints it.
     let commit = std::env::var_os("CARGO_FEATURE_CLI").and_then(|_| commit());
@@ -16,20 +19,12 @@ fn main() {
     println!("cargo::rustc-env=PERCEPTILE_VERSION={version}{commit}");
 }
 
-/// The commit that is checked out, if the package is the root of a checkout. Asks cargo to come back
-/// when another one is.
+/// The commit that is checked out, if the package is the root of a checkout.
 fn commit() -> Option<String> {
     let root = git(&["rev-parse", "--show-toplevel"])?;
     let package = Path::new(env!("CARGO_MANIFEST_DIR")).canonicalize().ok()?;
     if Path::new(&root).canonicalize().ok()? != package {
         return None;
-    }
-    // `HEAD` itself changes with the branch only; its log has a line for each commit as well.
-    for file in ["HEAD", "logs/HEAD"] {
-        let path = git(&["rev-parse", "--git-path", file])?;
-        if package.join(&path).exists() {
-            println!("cargo::rerun-if-changed={path}");
-        }
     }
     git(&["rev-parse", "--short=7", "HEAD"])
 }
