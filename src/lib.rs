@@ -113,3 +113,8 @@ pub use solver::{
 };
 #[doc(inline)]
 pub use tile::{MAX_DIMS, MAX_SPP, ShapeError, Tile, TileError, TileShape};
+
+/// The programs of the manual, which the tests of the documentation compile.
+#[cfg(doctest)]
+#[doc = include_str!("../docs/library.md")]
+struct Manual;
