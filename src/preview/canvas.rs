@@ -3,23 +3,26 @@
 use super::font;
 use crate::format::picture::Image;
 
-pub(super) type Rgb = [u8; 3];
+/// A colour.
+pub type Rgb = [u8; 3];
 
 /// Side of a dot of a letter.
 const DOT: usize = 2;
 /// Pixels down a line of text.
-pub(super) const LINE: usize = font::HEIGHT * DOT;
+pub const LINE: usize = font::HEIGHT * DOT;
 const PAPER: Rgb = [255; 3];
 const INK: Rgb = [28, 27, 25];
 
 /// An RGB picture that is being drawn.
-pub(super) struct Canvas {
+#[derive(Debug)]
+pub struct Canvas {
     width: usize,
     height: usize,
     pixels: Vec<Rgb>,
 }
 
 impl Canvas {
+    /// White paper of a size.
     pub fn new(width: usize, height: usize) -> Self {
         Self { width, height, pixels: vec![PAPER; width * height] }
     }
@@ -44,6 +47,10 @@ impl Canvas {
         }
     }
 
+    /// The picture that has been drawn.
+    ///
+    /// # Panics
+    /// If it has no pixels.
     pub fn into_image(self) -> Image {
         let data = self.pixels.into_iter().flatten().collect();
         Image::new(self.width, self.height, 3, data).expect("a canvas has pixels")

@@ -10,7 +10,8 @@
 //! on edges. It is drawn while the tile is written, from coordinates that come in pieces, in a
 //! small part of a second for any tile; the same tile has the same picture everywhere.
 
-mod canvas;
+#[cfg_attr(not(internals), doc(hidden))]
+pub mod canvas;
 mod edge;
 mod font;
 mod spectrum;
