@@ -17,6 +17,7 @@ mod number;
 mod optimize;
 mod perceived;
 mod prepared;
+mod presets;
 mod profile;
 mod progress;
 mod ranks;
@@ -66,6 +67,7 @@ enum Command {
     Evaluate(evaluate::EvaluateArgs),
     Kernel(kernel::KernelArgs),
     Export(export::ExportArgs),
+    Presets(presets::PresetsArgs),
     Profile(Box<profile::ProfileArgs>),
     Report(report::ReportArgs),
     Completions(completions::CompletionsArgs),
@@ -119,6 +121,7 @@ fn run(
         Command::Evaluate(args) => evaluate::run(args).map(done),
         Command::Kernel(args) => kernel::run(args).map(done),
         Command::Export(args) => export::run(args).map(done),
+        Command::Presets(args) => presets::run(&args).map(done),
         Command::Profile(args) => profile::run(&args).map(done),
         Command::Report(args) => report::run(args),
         Command::Completions(args) => completions::run(&args, Arguments::command()).map(done),

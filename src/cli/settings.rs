@@ -4,7 +4,6 @@ use std::path::PathBuf;
 use std::str::FromStr;
 
 use clap::Args;
-use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use perceptile::kernel::KernelSpec;
 use perceptile::solver::{Options, Preset, Start};
 use perceptile::tile::{ShapeError, TileShape};
@@ -12,6 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use super::exit::{Failure, Misuse};
 use super::number::whole;
+use super::presets;
 use super::viewing::ViewingArgs;
 
 /// Width × height × frames of a tile, written `128x128x30`.
@@ -56,20 +56,6 @@ impl From<TileSize> for String {
     }
 }
 
-/// Reads the name of a preset.
-fn presets() -> impl TypedValueParser<Value = Preset> {
-    let help = |preset| match preset {
-        Preset::Best => "The best 64x64x16 tile that half a minute of two cores allows",
-        Preset::Quick => "The same tile in seconds",
-        Preset::Paper => "The paper's job: 128x128x30, 10000 steps of 4096 draws",
-        Preset::PaperTaa => "The paper's job for frames accumulated with alpha 0.2",
-        Preset::Salaun => "Spatial blue noise, every frame its own",
-    };
-    let names = Preset::ALL.map(|(preset, name)| PossibleValue::new(name).help(help(preset)));
-    let preset = |name: String| Preset::ALL.into_iter().find(|&(_, its)| its == name);
-    PossibleValuesParser::new(names).map(move |name| preset(name).expect("one of the names").0)
-}
-
 /// Makes [`Settings`] of lines `name: type => option`: each is a flag and a name in a file, and sets
 /// that option, if it is one.
 macro_rules! settings {
@@ -112,8 +98,8 @@ macro_rules! settings {
 }
 
 settings! {
-    /// Named set of defaults; the other flags override it [default: best]
-    #[arg(value_parser = presets(), help_heading = "Tile")]
+    /// Named set of defaults, see `perceptile presets`; the other flags override it [default: best]
+    #[arg(value_parser = presets::name(), help_heading = "Tile")]
     preset: Preset,
 
     /// Width x height x frames [default: 64x64x16; paper 128x128x30; paper-taa 128x128x30]

@@ -8,6 +8,7 @@ use std::process::{Command, Output, Stdio};
 
 use perceptile::format::sidecar::{Sidecar, digest};
 use perceptile::format::source::TileSource;
+use perceptile::solver::Preset;
 use perceptile::tile::Tile;
 use proptest::prelude::*;
 use rustix::process::Signal;
@@ -752,6 +753,41 @@ fn tiles_are_evaluated_and_exported() {
 }
 
 #[test]
+fn presets_are_shown_as_they_are() {
+    let folder = Folder::new();
+    let shown: Value = serde_json::from_str(&folder.succeed(&["presets", "--json"])).unwrap();
+    let table = folder.succeed(&["presets"]);
+    assert_eq!(shown.as_array().unwrap().len(), Preset::ALL.len());
+    for ((preset, name), shown) in Preset::ALL.into_iter().zip(shown.as_array().unwrap()) {
+        let options = preset.options();
+        let shape = options.shape;
+        let size = format!("{}x{}x{}", shape.width(), shape.height(), shape.frames());
+        let kernel = options.kernel.to_string();
+        for (field, text) in [("preset", name), ("tile", &size), ("kernel", &kernel)] {
+            assert_eq!(shown[field].as_str(), Some(text), "{name}");
+        }
+        let numbers = [
+            ("spp", shape.spp()),
+            ("dims", shape.dims()),
+            ("steps", options.steps as usize),
+            ("draws", options.draw.draws),
+            ("directions", options.draw.directions),
+            ("polish", options.polish.steps as usize),
+        ];
+        let mut row = format!("{name} {size}");
+        for (field, number) in numbers {
+            assert_eq!(shown[field].as_u64(), Some(number as u64), "{field} of {name}");
+            row += &format!(" {number}");
+        }
+        row += &format!(" {}", shown["purpose"].as_str().unwrap());
+        let words = |line: &str| line.split_whitespace().collect::<Vec<_>>().join(" ");
+        for expected in [row, format!("{name} {kernel}")] {
+            assert!(table.lines().any(|line| words(line) == expected), "no {expected}: {table}");
+        }
+    }
+}
+
+#[test]
 fn an_export_needs_no_flags_and_keeps_the_provenance() {
     let folder = Folder::new();
     folder.small(&["--out", "a.npy"]);
@@ -788,14 +824,17 @@ fn shells_and_manuals_are_told_all_commands() {
     let folder = Folder::new();
     for shell in ["bash", "zsh", "fish"] {
         let text = folder.succeed(&["completions", shell]);
-        assert!(text.contains("evaluate") && text.contains("integrands"), "{shell}");
+        assert!(
+            ["evaluate", "integrands", "presets"].iter().all(|it| text.contains(it)),
+            "{shell}"
+        );
     }
     folder.fail(&["completions", "tcsh"], 2, &["tcsh", "bash"]);
     assert!(folder.succeed(&["man"]).starts_with(".ie"));
     assert!(folder.names().is_empty());
     folder.succeed(&["man", "pages"]);
     let pages = folder.0.names("pages");
-    for page in ["perceptile.1", "perceptile-optimize.1", "perceptile-evaluate.1"] {
+    for page in ["perceptile.1", "perceptile-optimize.1", "perceptile-presets.1"] {
         assert!(pages.iter().any(|name| name == page), "no {page} in {pages:?}");
     }
     assert!(!pages.iter().any(|name| name.contains("worker")), "{pages:?}");

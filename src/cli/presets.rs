@@ -1,0 +1,87 @@
+//! Presets as users meet them: their names as values of `--preset`, what each is for, and
+//! `perceptile presets`, which shows what they set.
+
+use clap::Args;
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use perceptile::solver::Preset;
+use serde_json::{Map, Value};
+
+use super::exit::Failure;
+use super::settings::Settings;
+use super::stream::show;
+
+/// Show what the presets set
+///
+/// A preset is a set of defaults of `optimize` and `profile`; any other flag overrides it. --json
+/// prints all settings, under the names of their flags.
+#[derive(Debug, Args)]
+pub struct PresetsArgs {
+    /// Print JSON, with all settings
+    #[arg(long)]
+    json: bool,
+}
+
+/// The settings in which presets differ, or that people ask for first, with the width of their
+/// columns.
+const COLUMNS: [(&str, usize); 7] = [
+    ("tile", 12),
+    ("spp", 5),
+    ("dims", 6),
+    ("steps", 7),
+    ("draws", 7),
+    ("directions", 12),
+    ("polish", 8),
+];
+
+/// Reads the name of a preset.
+pub fn name() -> impl TypedValueParser<Value = Preset> {
+    let names = Preset::ALL.map(|(preset, name)| PossibleValue::new(name).help(purpose(preset)));
+    let preset = |name: String| Preset::ALL.into_iter().find(|&(_, its)| its == name);
+    PossibleValuesParser::new(names).map(move |name| preset(name).expect("one of the names").0)
+}
+
+/// What a preset is for.
+fn purpose(preset: Preset) -> &'static str {
+    match preset {
+        Preset::Best => "The best 64x64x16 tile that half a minute of two cores allows",
+        Preset::Quick => "The same tile in seconds",
+        Preset::Paper => "The paper's job: 128x128x30, 10000 steps of 4096 draws",
+        Preset::PaperTaa => "The paper's job for frames accumulated with alpha 0.2",
+        Preset::Salaun => "Spatial blue noise, every frame its own",
+    }
+}
+
+/// Prints the presets.
+///
+/// # Errors
+/// An output that cannot be written.
+pub fn run(args: &PresetsArgs) -> Result<(), Failure> {
+    let all = |(preset, _)| -> Result<Map<String, Value>, Failure> {
+        let settings = Settings { preset: Some(preset), ..Settings::default() };
+        let mut all = settings.effective(&settings.options()?.0);
+        all.insert("purpose".into(), purpose(preset).into());
+        Ok(all)
+    };
+    let presets: Vec<_> = Preset::ALL.into_iter().map(all).collect::<Result<_, _>>()?;
+    show(args.json, &presets, || table(&presets))
+}
+
+/// The form for people: a line of numbers for each preset, and one with its kernel.
+fn table(presets: &[Map<String, Value>]) -> String {
+    let text = |preset: &Map<String, Value>, name: &str| match &preset[name] {
+        Value::String(text) => text.clone(),
+        number => number.to_string(),
+    };
+    let heading = COLUMNS.map(|(name, width)| format!("{name:>width$}")).concat();
+    let mut table = format!("{:<10}{heading}  what for\n", "preset");
+    for preset in presets {
+        let cells = COLUMNS.map(|(name, width)| format!("{:>width$}", text(preset, name)));
+        let [name, purpose] = ["preset", "purpose"].map(|name| text(preset, name));
+        table += &format!("{name:<10}{}  {purpose}\n", cells.concat());
+    }
+    table += "\npreset    kernel\n";
+    for preset in presets {
+        table += &format!("{:<10}{}\n", text(preset, "preset"), text(preset, "kernel"));
+    }
+    table
+}
