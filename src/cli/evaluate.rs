@@ -6,16 +6,16 @@ mod verdict;
 use std::path::{Path, PathBuf};
 
 use perceptile::format::write::{self, Existing};
-use perceptile::metric::{Baseline, Class, Domain, ScoreOptions, ScoredTile};
+use perceptile::metric::{Baseline, Class, Domain, ScoreOptions, ScoredTile, digits};
 use perceptile::report::pictures::spectrum_picture;
 use serde::Serialize;
 
 use super::candidates::{self, Candidate, progress};
-use super::exit::Failure;
+use super::exit::{Exit, Failure};
 use super::integrands::IntegrandsArgs;
 use super::perceived::PerceivedArgs;
 use super::source::{self, SourceArgs};
-use super::stream::show;
+use super::stream::{say, show};
 
 /// Score tiles: perceived error, uniformity, accumulation, quantization
 ///
@@ -39,6 +39,11 @@ pub struct EvaluateArgs {
     /// Owen, independently in each pixel), or both with a comma
     #[arg(long, value_name = "LIST", value_delimiter = ',', help_heading = "Comparison")]
     baselines: Vec<Baseline>,
+
+    /// Most perceived error that each TILE may have, such as edge<=0.08,bump<=0.02 (classes: linear,
+    /// edge, axis-edge, bump, disk); where one has more, the exit code is 6
+    #[arg(long, value_name = "CLASS<=SCORE", value_delimiter = ',', value_parser = requirement, help_heading = "Comparison")]
+    require: Vec<(Class, f64)>,
 
     #[command(flatten)]
     kernel: PerceivedArgs,
@@ -90,7 +95,7 @@ struct Evaluation {
 ///
 /// # Errors
 /// A tile that cannot be read, a kernel that does not fit one, options out of range, spectra that
-/// exist without `--force` or cannot be written.
+/// exist without `--force` or cannot be written, more error than `--require` allows.
 pub fn run(args: EvaluateArgs) -> Result<(), Failure> {
     let options = args.integrands.options();
     options.validate()?;
@@ -125,7 +130,33 @@ pub fn run(args: EvaluateArgs) -> Result<(), Failure> {
     let against = tiles[0].name.clone();
     let (kernel, kernel_origin) = (kernel.spec.to_string(), kernel.origin);
     let report = Evaluation { kernel, kernel_origin, options, against, tiles };
-    show(args.json, &report, || table::table(&report, args.all))
+    show(args.json, &report, || table::table(&report, args.all))?;
+    check(&args, &report.tiles)
+}
+
+/// Reads the most error that a tile may have for a class.
+fn requirement(text: &str) -> Result<(Class, f64), &'static str> {
+    let rule = "it must be CLASS<=SCORE, such as axis-edge<=0.08";
+    let (name, most) = text.split_once("<=").ok_or(rule)?;
+    let class = Class::ALL.into_iter().find(|it| it.to_string().replace(' ', "-") == name);
+    class.zip(most.parse().ok().filter(|most: &f64| most.is_finite())).ok_or(rule)
+}
+
+/// Says which of the tiles that were named have more error than they may.
+fn check(args: &EvaluateArgs, tiles: &[ScoredTile]) -> Result<(), Failure> {
+    let is_named = |path: &PathBuf| args.tiles.iter().any(|tile| source::is_same(tile, path));
+    let mut result = Ok(());
+    for tile in tiles.iter().filter(|tile| tile.path.as_ref().is_some_and(is_named)) {
+        for &(class, most) in &args.require {
+            let score = tile.scores.class(class, Domain::All);
+            if let Some(score) = score.filter(|score| score.perceived.mean > most) {
+                let found = format!("{} has {}", tile.name, digits(score.perceived.mean, 6));
+                say(format_args!("error: {found} for {class}, but --require says at most {most}"));
+                result = Err(Failure::reported(Exit::Missed as u8));
+            }
+        }
+    }
+    result
 }
 
 /// The tiles to score; the one to compare with comes first.
@@ -164,7 +195,6 @@ mod tests {
     use perceptile::tile::TileShape;
 
     use super::*;
-    use crate::cli::exit::Exit;
 
     #[derive(Debug, Parser)]
     struct Command {

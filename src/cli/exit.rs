@@ -42,6 +42,8 @@ pub enum Exit {
     Memory = 4,
     /// Too many workers were lost.
     Lost = 5,
+    /// A tile has more error than `evaluate --require` allows.
+    Missed = 6,
 }
 
 /// Something is wrong with what was asked for, rather than with the machine.

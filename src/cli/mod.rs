@@ -46,9 +46,9 @@ use stream::print;
 ///
 /// Exit codes: 0 done; 1 a file could not be read or written; 2 a wrong argument, option or
 /// setting; 3 an output or an unfinished run exists (see --force), or another run is making it; 4
-/// the run does not fit into memory; 5 too many workers were lost; 129, 130 or 143 stopped by a
-/// closed terminal, Ctrl-C or SIGTERM, with the result so far written (a report is made whole or
-/// not at all).
+/// the run does not fit into memory; 5 too many workers were lost; 6 a tile has more error than
+/// evaluate --require allows; 129, 130 or 143 stopped by a closed terminal, Ctrl-C or SIGTERM, with
+/// the result so far written (a report is made whole or not at all).
 #[derive(Debug, Parser)]
 #[command(
     name = "perceptile",

@@ -753,6 +753,26 @@ fn tiles_are_evaluated_and_exported() {
 }
 
 #[test]
+fn a_tile_with_more_error_than_it_may_have_ends_the_command() {
+    let folder = Folder::new();
+    folder.small(&["--out", "a.npy"]);
+    let noise = ["--kernel", "none", "--steps", "0", "--warp", "0", "--integrands", "0"];
+    folder.succeed(&[&["optimize", "--tile", "8x9x4", "--out", "worse.npy"], &noise[..]].concat());
+    let line = ["evaluate", "a.npy", "--integrands", "4", "--json", "--against", "worse.npy"];
+    let json = folder.succeed(&line);
+    let found: Value = serde_json::from_str(&json).unwrap();
+    let found = &found["tiles"][1]["scores"]["classes"][0]["perceived"]["mean"];
+    // The tile to compare with is not required to be as good.
+    let most = format!("--require=linear<={found},axis-edge<=9");
+    assert_eq!(folder.succeed(&[&line[..], &[&most]].concat()), json);
+    let words = ["worse has ", " for linear, but --require says at most "];
+    folder.fail(&[&line[..], &["worse.npy", &most]].concat(), 6, &words);
+    for wrong in ["edge<0.1", "edges<=0.1", "edge<=nan", "edge"] {
+        folder.fail(&[&line[..], &["--require", wrong]].concat(), 2, &[wrong, "CLASS<=SCORE"]);
+    }
+}
+
+#[test]
 fn presets_are_shown_as_they_are() {
     let folder = Folder::new();
     let shown: Value = serde_json::from_str(&folder.succeed(&["presets", "--json"])).unwrap();
