@@ -53,6 +53,7 @@ use stream::print;
 #[command(
     name = "perceptile",
     version = env!("PERCEPTILE_VERSION"),
+    after_help = "`perceptile optimize` makes a tile in half a minute: begin there.",
     arg_required_else_help = true
 )]
 struct Arguments {
@@ -66,8 +67,8 @@ enum Command {
     Resume(Box<resume::ResumeArgs>),
     Evaluate(evaluate::EvaluateArgs),
     Kernel(kernel::KernelArgs),
-    Export(export::ExportArgs),
     Presets(presets::PresetsArgs),
+    Export(export::ExportArgs),
     Profile(Box<profile::ProfileArgs>),
     Report(report::ReportArgs),
     Completions(completions::CompletionsArgs),
@@ -120,8 +121,8 @@ fn run(
         Command::Resume(args) => ranks::together(launcher, |ranks| resume::run(&args, ranks)),
         Command::Evaluate(args) => evaluate::run(args).map(done),
         Command::Kernel(args) => kernel::run(args).map(done),
-        Command::Export(args) => export::run(args).map(done),
         Command::Presets(args) => presets::run(&args).map(done),
+        Command::Export(args) => export::run(args).map(done),
         Command::Profile(args) => profile::run(&args).map(done),
         Command::Report(args) => report::run(args),
         Command::Completions(args) => completions::run(&args, Arguments::command()).map(done),

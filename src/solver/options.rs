@@ -107,7 +107,7 @@ pub const MAX_POLISH_TAPS: usize = 4096;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Preset {
-    /// The best 64×64×16 tile that a minute of two cores allows.
+    /// The best 64×64×16 tile that half a minute of two cores allows.
     Best,
     /// The same tile in seconds.
     Quick,
