@@ -4,13 +4,15 @@
 //! and `parse` reads that from text; `resolve` composes and truncates it (`factor` and `table`
 //! give the weights of each factor, `grid` convolves them); `taps` is what the optimizer and the
 //! scores use: offsets with weights, sorted by falling magnitude, so that the taps above any
-//! threshold are a prefix (Eq. 7). `viewing` writes the description for a frame rate and a display;
+//! threshold are a prefix (Eq. 7); `planes` is
+//! the same for whole pictures. `viewing` writes the description for a frame rate and a display;
 //! `response` and `picture` show a kernel to people.
 
 mod factor;
 mod grid;
 mod parse;
 mod picture;
+mod planes;
 mod resolve;
 mod response;
 mod spec;
@@ -21,6 +23,7 @@ mod viewing;
 pub use factor::perception_taps;
 pub use parse::ParseError;
 pub use picture::{Picture, picture};
+pub use planes::{KernelFrame, KernelPlanes, Plane};
 pub use resolve::{Dropped, Kernel, KernelClass, KernelError, MAX_TAPS, ResolveProblem};
 pub use response::Response;
 pub use spec::{

@@ -19,7 +19,6 @@ mod folder;
 mod names;
 mod page;
 pub mod pictures;
-mod planes;
 mod plot;
 mod provenance;
 mod renders;

@@ -3,10 +3,9 @@
 
 use serde::Serialize;
 
-use super::planes::KernelPlanes;
 use super::samples::Crop;
 use crate::kernel::{
-    ClassKind, ClassSpec, Factor, KernelClass, KernelError, KernelSpec, Truncation,
+    ClassKind, ClassSpec, Factor, KernelClass, KernelError, KernelPlanes, KernelSpec, Truncation,
 };
 use crate::tile::TileShape;
 

@@ -1,4 +1,5 @@
-//! A kernel as the viewer filters with it: a few planes of weights, and the frames that use them.
+//! A kernel as whole pictures are filtered with it: a few planes of weights, and the frames that use
+//! them.
 //!
 //! Most kernels are a product of space and time: every frame has the same plane but for a factor,
 //! and the plane is a column times a row. Filtering then takes a row, a column and a number for
@@ -7,18 +8,19 @@
 use glam::IVec3;
 use serde::Serialize;
 
-use crate::kernel::KernelTaps;
+use super::KernelTaps;
 
 /// Part of the largest weight by which planes may differ that count as proportional.
 const TOLERANCE: f64 = 1e-6;
-/// Most weights of all planes together: what a page should not carry more of.
+/// Most weights of all planes together.
 const MAX_WEIGHTS: usize = 1 << 17;
 
 /// A kernel as planes and slices: the tap (dx, dy, dt) weighs `scale` × the plane's weight.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub(super) struct KernelPlanes {
+pub struct KernelPlanes {
     /// Σg².
     pub power: f64,
+    /// Each but for a factor.
     pub planes: Vec<Plane>,
     /// One for each frame with taps, from the past to the newest.
     pub slices: Vec<KernelFrame>,
@@ -26,13 +28,18 @@ pub(super) struct KernelPlanes {
 
 /// Weights of one frame's offsets from (x, y) on.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub(super) struct Plane {
+pub struct Plane {
+    /// Offset of the first column, in pixels.
     pub x: i32,
+    /// Offset of the first row.
     pub y: i32,
+    /// Columns.
     pub width: usize,
+    /// Rows.
     pub height: usize,
     /// With `column`, the factors of the weights, if they have them.
     pub row: Option<Vec<f64>>,
+    /// See `row`.
     pub column: Option<Vec<f64>>,
     /// Row by row.
     pub weights: Vec<f64>,
@@ -40,15 +47,17 @@ pub(super) struct Plane {
 
 /// One frame of the kernel.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub(super) struct KernelFrame {
+pub struct KernelFrame {
+    /// Offset of the frame; the past is negative.
     pub dt: i32,
     /// Index of its plane.
     pub plane: usize,
+    /// What the plane's weights are multiplied by.
     pub scale: f64,
 }
 
 impl KernelPlanes {
-    /// Takes a kernel apart; `None` if its planes have too many weights for a page.
+    /// Takes a kernel apart; `None` if its planes have more than 131,072 weights.
     pub fn of(kernel: &KernelTaps) -> Option<Self> {
         let mut taps: Vec<_> = kernel.taps().to_vec();
         taps.sort_by_key(|tap| tap.offset.z);
