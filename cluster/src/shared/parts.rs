@@ -14,13 +14,9 @@ impl Section {
     /// # Panics
     /// If ranges overlap or end behind the section.
     pub fn parts<T: Pod>(self, parts: Vec<Vec<Range<usize>>>) -> Parts<T> {
-        let mut all: Vec<&Range<usize>> =
-            parts.iter().flatten().filter(|r| !r.is_empty()).collect();
-        all.sort_unstable_by_key(|range| range.start);
-        assert!(all.windows(2).all(|pair| pair[0].end <= pair[1].start), "parts overlap");
-        let end = all.last().map_or(0, |range| range.end);
-        assert!(end <= self.len() / size_of::<T>(), "parts end at {end} of {}", self.len());
-        Parts { section: self, parts, of: PhantomData }
+        let mut dealt = Parts { section: self, parts: Vec::new(), of: PhantomData };
+        dealt.deal(parts);
+        dealt
     }
 }
 
@@ -41,6 +37,20 @@ impl<T: Pod> Parts<T> {
     /// All of the section, to be changed.
     pub fn whole_mut(&mut self) -> &mut [T] {
         self.section.slice_mut()
+    }
+
+    /// Gives jobs other ranges from now on.
+    ///
+    /// # Panics
+    /// If ranges overlap or end behind the section.
+    pub fn deal(&mut self, parts: Vec<Vec<Range<usize>>>) {
+        let mut all: Vec<&Range<usize>> =
+            parts.iter().flatten().filter(|r| !r.is_empty()).collect();
+        all.sort_unstable_by_key(|range| range.start);
+        assert!(all.windows(2).all(|pair| pair[0].end <= pair[1].start), "parts overlap");
+        let (end, len) = (all.last().map_or(0, |range| range.end), self.section.len());
+        assert!(end <= len / size_of::<T>(), "parts end at {end} of {len}");
+        self.parts = parts;
     }
 
     /// The section, to be given out anew.
