@@ -87,6 +87,8 @@ pub mod report;
 #[cfg_attr(not(internals), doc(hidden))]
 pub mod run;
 #[cfg_attr(not(internals), doc(hidden))]
+pub mod select;
+#[cfg_attr(not(internals), doc(hidden))]
 pub mod solver;
 #[cfg_attr(not(internals), doc(hidden))]
 pub mod tile;
