@@ -275,6 +275,19 @@ impl ArrayHeader {
         self.element.kind
     }
 
+    /// The header of one entry along the first axis, and its bytes, if entries lie one behind the other
+    /// in the file.
+    pub fn entry(&self) -> Option<(Self, u64)> {
+        let (_, shape) = self.shape.split_first()?;
+        if self.fortran_order {
+            return None;
+        }
+        let count = shape.iter().product::<usize>();
+        let (element, shape) = (self.element, shape.to_vec());
+        let bytes = (count * element.size()) as u64;
+        Some((Self { element, fortran_order: false, shape, count }, bytes))
+    }
+
     /// Hands every element to `store` with its place in C order, in the order of the file. Integers
     /// come as their value.
     ///

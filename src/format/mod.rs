@@ -9,16 +9,24 @@
 //! from the same output meanwhile, and `unfinished` knows what must go should the process end at
 //! once. `checkpoint` is both ways: the state of a run that is to go on later.
 //!
+//! `animation` reads pictures, frame by frame, from `.npy` arrays and EXR files (`exr`).
+//!
 //! Tiles and checkpoints may be larger than memory. They are written from pieces ([`numbers`]), and
 //! checkpoints are read in pieces, so that who writes or reads for others need not hold them.
 //!
 //! Every reader takes hostile input: it answers with a tile or an error that names the value and
 //! the rule, and allocates no more than the size of the file can justify.
 
+#[cfg(feature = "cli")]
+#[cfg_attr(not(internals), doc(hidden))]
+pub mod animation;
 #[cfg_attr(not(internals), doc(hidden))]
 pub mod checkpoint;
 #[cfg_attr(not(internals), doc(hidden))]
 pub mod claim;
+#[cfg(feature = "cli")]
+#[cfg_attr(not(internals), doc(hidden))]
+pub mod exr;
 pub(crate) mod hashed;
 pub mod npy;
 pub mod numbers;
