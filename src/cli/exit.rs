@@ -7,6 +7,7 @@ use std::error::Error;
 use std::fmt::{Display, Write as _};
 use std::process::ExitCode;
 
+use perceptile::format::animation::AnimationError;
 use perceptile::format::picture::ImageError;
 use perceptile::format::source::SourceError;
 use perceptile::format::write::WriteError;
@@ -23,6 +24,7 @@ use perceptile::run::backend::workers::task::WorkerError;
 use perceptile::run::error::RunError;
 use perceptile::run::folder::FolderError;
 use perceptile::run::memory::MemoryError;
+use perceptile::select::SelectError;
 use perceptile::solver::OptionsError;
 use perceptile::tile::ShapeError;
 use perceptile_cluster::shared::MapError;
@@ -88,6 +90,11 @@ impl Failure {
         move |error| Self { code: Exit::Failed as u8, message: Some(format!("{what}: {error}")) }
     }
 
+    /// An output, or something unfinished, is there already.
+    pub fn exists(message: String) -> Self {
+        Self { code: Exit::Exists as u8, message: Some(message) }
+    }
+
     /// The exit code.
     pub fn code(&self) -> u8 {
         self.code
@@ -151,6 +158,8 @@ exits! {
     RooflineError { _ => Exit::Failed }
     ImageError { _ => Exit::Failed }
     SourceError { _ => Exit::Failed }
+    AnimationError { Self::Pattern { .. } => Exit::Misuse, _ => Exit::Failed }
+    SelectError { Self::Memory(error) => error.exit(), _ => Exit::Misuse }
     OutputError { _ => Exit::Failed }
     serde_json::Error { _ => Exit::Failed }
 }

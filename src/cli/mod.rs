@@ -24,6 +24,7 @@ mod ranks;
 mod report;
 mod resume;
 mod run;
+mod select;
 mod settings;
 mod source;
 mod stream;
@@ -68,6 +69,7 @@ enum Command {
     Evaluate(evaluate::EvaluateArgs),
     Kernel(kernel::KernelArgs),
     Presets(presets::PresetsArgs),
+    Select(Box<select::SelectArgs>),
     Export(export::ExportArgs),
     Profile(Box<profile::ProfileArgs>),
     Report(report::ReportArgs),
@@ -122,6 +124,7 @@ fn run(
         Command::Evaluate(args) => evaluate::run(args).map(done),
         Command::Kernel(args) => kernel::run(args).map(done),
         Command::Presets(args) => presets::run(&args).map(done),
+        Command::Select(args) => select::run(&args),
         Command::Export(args) => export::run(args).map(done),
         Command::Profile(args) => profile::run(&args).map(done),
         Command::Report(args) => report::run(args),

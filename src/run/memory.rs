@@ -71,6 +71,14 @@ pub fn check_rank(plan: &Plan, keeps_whole: bool) -> Result<(), MemoryError> {
     compare(needed, limits::tightest())
 }
 
+/// Whether so many bytes are free.
+///
+/// # Errors
+/// If they are not. Where the system does not say what is free, they are.
+pub fn check_bytes(needed: u64) -> Result<(), MemoryError> {
+    compare(needed, limits::tightest())
+}
+
 fn compare(needed: u64, tightest: Option<(u64, Limit)>) -> Result<(), MemoryError> {
     match tightest {
         Some((free, limit)) if needed > free => Err(MemoryError { needed, free, limit }),

@@ -21,6 +21,8 @@ mod ranks;
 mod report;
 #[cfg(target_os = "linux")]
 mod resume;
+#[cfg(target_os = "linux")]
+mod select;
 mod solver;
 #[cfg(target_os = "linux")]
 mod tool;

@@ -1,0 +1,325 @@
+//! Where the result of a selection goes: the frames, the scores, and until it is done a file that it
+//! can go on from.
+
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, BufWriter, Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+
+use perceptile::array;
+use perceptile::format::animation::{numbered, path_of};
+use perceptile::format::claim::Claim;
+use perceptile::format::exr::{self, ExrError, ExrTemplate};
+use perceptile::format::png::{self, Depth, PixelFormat, Raster};
+use perceptile::format::write::{self, Existing};
+use perceptile::select::SelectState;
+use perceptile_cluster::codec;
+use serde::{Deserialize, Serialize};
+
+use super::SelectArgs;
+use super::inputs::{Display, Inputs};
+use crate::cli::exit::{Failure, Misuse};
+
+/// Most bytes of a state.
+const MOST: usize = 1 << 33;
+
+/// The files of a result.
+#[derive(Debug)]
+pub struct Outputs {
+    /// The result as named.
+    pub result: PathBuf,
+    /// The scores.
+    pub scores: PathBuf,
+    state: PathBuf,
+    form: Form,
+    existing: Existing,
+    shape: [usize; 4],
+    first: u64,
+}
+
+#[derive(Debug)]
+enum Form {
+    /// One array; as long as it is not whole, under this name.
+    Npy {
+        partial: PathBuf,
+    },
+    Exr {
+        template: Box<ExrTemplate>,
+        carried: bool,
+    },
+    Png {
+        display: Display,
+    },
+}
+
+/// What is kept to go on from.
+#[derive(Debug, Serialize, Deserialize)]
+struct Kept {
+    /// Of everything that decides the result.
+    digest: String,
+    states: Vec<SelectState>,
+}
+
+/// Outputs that nobody else writes.
+pub struct Claimed {
+    outputs: Outputs,
+    digest: String,
+    array: Option<File>,
+    _claim: Claim,
+}
+
+impl Outputs {
+    /// The outputs that the arguments mean.
+    ///
+    /// # Errors
+    /// A name that does not go with the form of the result.
+    pub fn new(args: &SelectArgs, inputs: &Inputs) -> Result<Self, Failure> {
+        let template = inputs.candidates.first().and_then(|animation| animation.template());
+        let (form, default, extension) = match (inputs.display, template) {
+            (Some(display), _) => (Form::Png { display }, "dithered.####.png", "png"),
+            (None, Some((template, _))) => {
+                let carried = !inputs.subsets
+                    && inputs
+                        .candidates
+                        .iter()
+                        .all(|other| other.template().is_some_and(|(other, _)| other.has_others()));
+                let template = Box::new(template.clone());
+                (Form::Exr { template, carried }, "selected.####.exr", "exr")
+            }
+            (None, None) => (Form::Npy { partial: PathBuf::new() }, "selected.npy", "npy"),
+        };
+        let result = args.out.clone().unwrap_or_else(|| default.into());
+        let found = result.extension().and_then(|extension| extension.to_str());
+        if !found.is_some_and(|found| found.eq_ignore_ascii_case(extension)) {
+            let rule = format!("--out is {}, but the result is {extension}", result.display());
+            return Err(Misuse(rule).into());
+        }
+        let frames = inputs.guide.frames();
+        if extension != "npy" && frames > 1 && numbered(&result).is_none() {
+            let rule = "but a name of many files must have a #, such as x.####";
+            return Err(Misuse(format!("--out is {}, {rule}.{extension}", result.display())).into());
+        }
+        // The result's name without its number.
+        let plain = match numbered(&result) {
+            Some((before, _, after)) => {
+                let stem = before.trim_end_matches(['.', '_', '-']);
+                let stem = if stem.is_empty() { "selected" } else { stem };
+                result.with_file_name(format!("{stem}{after}"))
+            }
+            None => result.clone(),
+        };
+        let form = match form {
+            Form::Npy { .. } => Form::Npy { partial: plain.with_extension("npy.part") },
+            form => form,
+        };
+        let [width, height] = inputs.guide.size();
+        let shape = [frames, height, width, inputs.guide.channels()];
+        let first = inputs.candidates.first().unwrap_or(&inputs.guide).template();
+        Ok(Self {
+            scores: plain.with_extension("json"),
+            state: plain.with_extension("state"),
+            result,
+            form,
+            existing: args.existing(),
+            shape,
+            first: first.map_or(0, |(_, first)| first),
+        })
+    }
+
+    /// The file of a frame.
+    fn frame(&self, frame: usize) -> PathBuf {
+        path_of(&self.result, self.first + frame as u64)
+    }
+
+    /// Claims the outputs, and finds what a selection of this digest can go on from.
+    ///
+    /// # Errors
+    /// Outputs that exist, or that others are making; folders that are missing.
+    pub fn claim(self, digest: String) -> Result<(Claimed, Option<Vec<SelectState>>), Failure> {
+        let claim = Claim::new(&self.scores, Existing::Replace)?;
+        let kept = self.kept(&digest)?;
+        if kept.is_none() {
+            let frames = match self.form {
+                Form::Npy { .. } => 0..0,
+                _ => 0..self.shape[0],
+            };
+            let files = frames.map(|frame| self.frame(frame));
+            let whole = [self.scores.clone()].into_iter();
+            let array = matches!(self.form, Form::Npy { .. }).then(|| self.result.clone());
+            write::probe(whole.chain(array).chain(files), self.existing)?;
+        }
+        let mut claimed = Claimed { outputs: self, digest, array: None, _claim: claim };
+        claimed.open(kept.as_ref().map_or(0, |states| states[0].done()))?;
+        Ok((claimed, kept))
+    }
+
+    /// The states that are kept, if they are of this digest.
+    fn kept(&self, digest: &str) -> Result<Option<Vec<SelectState>>, Failure> {
+        if self.existing == Existing::Replace || !self.state.exists() {
+            return Ok(None);
+        }
+        let bytes = fs::read(&self.state)
+            .map_err(Failure::refused(&format!("cannot read {}", self.state.display())))?;
+        let kept = codec::decode::<Kept, MOST>(&bytes).ok();
+        let kept = kept.filter(|kept| kept.digest == digest && !kept.states.is_empty());
+        match kept {
+            Some(kept) => Ok(Some(kept.states)),
+            None => Err(Failure::exists(format!(
+                "{} is that of a selection with other settings or inputs: --force gives it up",
+                self.state.display()
+            ))),
+        }
+    }
+}
+
+impl Claimed {
+    /// The result as named.
+    pub fn outputs(&self) -> &Outputs {
+        &self.outputs
+    }
+
+    /// Opens the array that is not whole, behind the frames that are done.
+    fn open(&mut self, done: usize) -> Result<(), Failure> {
+        let Form::Npy { partial } = &self.outputs.form else { return Ok(()) };
+        let what = format!("cannot write {}", partial.display());
+        let shape = self.outputs.shape;
+        let open = || -> io::Result<File> {
+            let mut file = OpenOptions::new()
+                .write(true)
+                .read(true)
+                .create(true)
+                .truncate(false)
+                .open(partial)?;
+            let mut header = Vec::new();
+            array::write_header(&shape, &mut header)?;
+            let frame = shape[1..].iter().product::<usize>() * size_of::<f32>();
+            let end = header.len() as u64 + (done * frame) as u64;
+            if file.metadata()?.len() < end && done > 0 {
+                return Err(io::Error::new(io::ErrorKind::InvalidData, "frames are missing in it"));
+            }
+            file.write_all(&header)?;
+            file.set_len(end)?;
+            file.seek(SeekFrom::Start(end))?;
+            Ok(file)
+        };
+        self.array = Some(open().map_err(Failure::refused(&what))?);
+        Ok(())
+    }
+
+    /// Writes a frame: its picture and the choices of each engine.
+    ///
+    /// # Errors
+    /// A file that exists or cannot be written, or candidates that cannot be put together.
+    pub fn frame(
+        &mut self,
+        frame: usize,
+        pictures: &[Vec<f32>],
+        choices: &[Vec<u8>],
+        inputs: &Inputs,
+    ) -> Result<(), Failure> {
+        let [_, height, width, channels] = self.outputs.shape;
+        let (path, pixels) = (self.outputs.frame(frame), width * height);
+        let bytes = match &self.outputs.form {
+            Form::Npy { partial } => {
+                let file = self.array.as_mut().expect("open");
+                let picture = &pictures[0];
+                let mut out = BufWriter::with_capacity(1 << 16, file);
+                let mut write = || -> io::Result<()> {
+                    for pixel in 0..pixels {
+                        for channel in 0..channels {
+                            out.write_all(&picture[channel * pixels + pixel].to_le_bytes())?;
+                        }
+                    }
+                    out.flush()
+                };
+                return write()
+                    .map_err(Failure::refused(&format!("cannot write {}", partial.display())));
+            }
+            Form::Exr { carried: true, .. } => {
+                let files: Vec<&Path> =
+                    inputs.candidates.iter().map(|animation| animation.path(frame)).collect();
+                exr::encode_choices(&files, &choices[0])
+            }
+            Form::Exr { template, .. } => exr::encode(template, &pictures[0]),
+            Form::Png { display } => encode_levels(
+                *display,
+                self.outputs.shape,
+                &choices_of(inputs, *display, frame, choices)?,
+            ),
+        };
+        let what = format!("cannot write {}", path.display());
+        let bytes = bytes.map_err(Failure::refused(&what))?;
+        // Frames of a selection that was stopped are made again.
+        write::write(&path, Existing::Replace, |out| out.write_all(&bytes))?;
+        Ok(())
+    }
+
+    /// Keeps what the selection can go on from.
+    ///
+    /// # Errors
+    /// A file that cannot be written.
+    pub fn keep(&mut self, states: Vec<SelectState>) -> Result<(), Failure> {
+        if let Some(file) = &self.array {
+            let what = format!("cannot write {}", self.outputs.result.display());
+            file.sync_data().map_err(Failure::refused(&what))?;
+        }
+        let kept = Kept { digest: self.digest.clone(), states };
+        let bytes = codec::encode(&kept).map_err(Failure::refused("cannot keep the selection"))?;
+        write::write(&self.outputs.state, Existing::Replace, |out| out.write_all(&bytes))?;
+        Ok(())
+    }
+
+    /// Gives the array its name, writes the scores, and removes what was kept.
+    ///
+    /// # Errors
+    /// Files that cannot be written, or that appeared meanwhile.
+    pub fn finish(mut self, scores: &impl Serialize) -> Result<(), Failure> {
+        let text = serde_json::to_string_pretty(scores)? + "\n";
+        if let (Some(file), Form::Npy { partial }) = (self.array.take(), &self.outputs.form) {
+            let what = format!("cannot write {}", self.outputs.result.display());
+            file.sync_all().map_err(Failure::refused(&what))?;
+            drop(file);
+            write::probe([&self.outputs.result], self.outputs.existing)?;
+            fs::rename(partial, &self.outputs.result).map_err(Failure::refused(&what))?;
+        }
+        write::write(&self.outputs.scores, Existing::Replace, |out| {
+            out.write_all(text.as_bytes())
+        })?;
+        let _ = fs::remove_file(&self.outputs.state);
+        Ok(())
+    }
+}
+
+/// The levels of every channel that were chosen.
+fn choices_of(
+    inputs: &Inputs,
+    display: Display,
+    frame: usize,
+    choices: &[Vec<u8>],
+) -> Result<Vec<Vec<u32>>, Failure> {
+    let guide = inputs.guide.read(frame)?;
+    let planes = guide.chunks_exact(choices[0].len());
+    let level = |(&light, &choice): (&f32, &u8)| display.below(light) + u32::from(choice);
+    Ok(planes
+        .zip(choices)
+        .map(|(plane, choice)| plane.iter().zip(choice).map(level).collect())
+        .collect())
+}
+
+/// The bytes of a PNG whose levels fill the range of its depth.
+fn encode_levels(
+    display: Display,
+    [_, height, width, channels]: [usize; 4],
+    levels: &[Vec<u32>],
+) -> Result<Vec<u8>, ExrError> {
+    let depth = if display.levels <= 256 { Depth::Eight } else { Depth::Sixteen };
+    let (most, steps) = (u64::from(depth.levels() - 1), u64::from(display.levels - 1));
+    let value = |level: u32| ((u64::from(level) * most * 2 + steps) / (2 * steps)) as u16;
+    let values = (0..width * height)
+        .flat_map(|pixel| levels.iter().map(move |plane| value(plane[pixel])))
+        .collect();
+    let layout = if channels == 1 { PixelFormat::Gray } else { PixelFormat::Rgb };
+    let raster = Raster { width, height, layout, depth, levels: values };
+    let mut bytes = Vec::new();
+    png::encode(&raster, &mut bytes).expect("memory takes all");
+    Ok(bytes)
+}
