@@ -22,8 +22,6 @@ use crate::gradient::simd::{Isa, LANES, Vectorized};
 
 /// Columns that are visited at a time, so that what they see stays in the nearest caches.
 const CELL: usize = 64;
-/// Sums of a channel that do not wait for each other.
-const CHAINS: usize = 2;
 
 type Register = [f32; LANES];
 
@@ -73,9 +71,9 @@ struct Pixel {
 }
 
 /// A pixel as it is.
-struct Present<const C: usize> {
+struct Present<'e, const C: usize> {
     /// The error of each render.
-    errors: [[f32; C]; MAX_CANDIDATES],
+    errors: &'e [[f32; C]],
     /// The candidate that is chosen.
     now: usize,
     /// Its error.
@@ -84,7 +82,7 @@ struct Present<const C: usize> {
     closeness: [f32; C],
 }
 
-impl<const C: usize> Present<C> {
+impl<const C: usize> Present<'_, C> {
     /// What another candidate differs by.
     #[inline(always)]
     fn change(&self, mixture: &Mixture, candidate: usize) -> [f32; C] {
@@ -116,8 +114,7 @@ impl<const C: usize> Strip<'_, C> {
 
     /// What the visit of a pixel begins with.
     #[inline(always)]
-    fn present(&self, pixel: Pixel) -> Present<C> {
-        let mut errors = [[0.0; C]; MAX_CANDIDATES];
+    fn present<'e>(&self, pixel: Pixel, errors: &'e mut [[f32; C]]) -> Present<'e, C> {
         for (error, render) in errors.iter_mut().zip(&self.renders) {
             for c in 0..C {
                 error[c] = render[c][pixel.index] - self.guide[c][pixel.index];
@@ -148,7 +145,21 @@ impl<const C: usize> Strip<'_, C> {
     /// Takes a candidate that differs by `change`. `weighted` says whether the residual is w²·r.
     #[inline(always)]
     fn take(&mut self, pixel: Pixel, candidate: usize, change: [f32; C], weighted: bool) {
-        let (height, registers) = (self.footprint.height, self.footprint.registers);
+        match self.footprint.registers {
+            1 => self.spread(pixel, change, weighted, 1),
+            registers => self.spread(pixel, change, weighted, registers),
+        }
+        self.choice[pixel.index] = candidate as u8;
+        for c in 0..C {
+            let render = |k: usize| self.renders[k][c][pixel.index];
+            self.current[c][pixel.index] = self.mixture.value(candidate, render);
+        }
+    }
+
+    /// Adds a change of a pixel to the residual around it.
+    #[inline(always)]
+    fn spread(&mut self, pixel: Pixel, change: [f32; C], weighted: bool, registers: usize) {
+        let height = self.footprint.height;
         for (i, frame) in self.frames.clone().enumerate() {
             let kernel = self.footprint.frame(frame);
             for c in 0..C {
@@ -171,11 +182,6 @@ impl<const C: usize> Strip<'_, C> {
                 }
             }
         }
-        self.choice[pixel.index] = candidate as u8;
-        for c in 0..C {
-            let render = |k: usize| self.renders[k][c][pixel.index];
-            self.current[c][pixel.index] = self.mixture.value(candidate, render);
-        }
     }
 }
 
@@ -187,46 +193,57 @@ fn total(register: Register) -> f32 {
 }
 
 impl<const C: usize> Squares<'_, C> {
-    /// a of every channel.
+    /// a of every channel. Rows of even and odd number have sums of their own, which do not wait for
+    /// each other.
     #[inline(always)]
-    fn slope(&self, pixel: Pixel) -> [f32; C] {
+    fn slope(&self, pixel: Pixel, registers: usize) -> [f32; C] {
         let strip = &self.strip;
-        let (height, registers) = (strip.footprint.height, strip.footprint.registers);
-        let mut sums = [[[0.0_f32; LANES]; CHAINS]; C];
+        let height = strip.footprint.height;
+        let (mut even, mut odd) = ([[0.0_f32; LANES]; C], [[0.0_f32; LANES]; C]);
         for (i, frame) in strip.frames.clone().enumerate() {
             let kernel = strip.footprint.frame(frame);
             let planes: [&[f32]; C] =
                 std::array::from_fn(|c| &strip.residual[i * C + c][pixel.corner..]);
-            for row in 0..height {
+            let add = |row: usize, sums: &mut [Register; C]| {
                 for register in 0..registers {
                     let at = row * strip.stride + register * LANES;
                     let kernel = &kernel[row * registers + register];
                     for c in 0..C {
                         let residual: &Register =
                             planes[c][at..at + LANES].try_into().expect("a register");
-                        let sum = &mut sums[c][(row + register) % CHAINS];
                         for lane in 0..LANES {
-                            sum[lane] += residual[lane] * kernel[lane];
+                            sums[c][lane] += residual[lane] * kernel[lane];
                         }
                     }
                 }
+            };
+            for row in (0..height & !1).step_by(2) {
+                add(row, &mut even);
+                add(row + 1, &mut odd);
+            }
+            if height % 2 == 1 {
+                add(height - 1, &mut even);
             }
         }
-        sums.map(|[even, odd]| total(std::array::from_fn(|lane| even[lane] + odd[lane])))
+        std::array::from_fn(|c| total(std::array::from_fn(|lane| even[c][lane] + odd[c][lane])))
     }
 }
 
 impl<const C: usize> Squares<'_, C> {
     /// Visits a pixel. Returns whether it changes.
     #[inline(always)]
-    fn visit(&mut self, pixel: Pixel) -> bool {
+    fn visit(&mut self, pixel: Pixel, errors: &mut [[f32; C]]) -> bool {
         let strip = &self.strip;
-        let slope = self.slope(pixel);
-        let present = strip.present(pixel);
+        // A row of one register is most common, and its loop is none.
+        let slope = match strip.footprint.registers {
+            1 => self.slope(pixel, 1),
+            registers => self.slope(pixel, registers),
+        };
+        let present = strip.present(pixel, errors);
         let curvature = self.curvature.map(|plane| plane[pixel.index]);
         let mut costs = [0.0; MAX_CANDIDATES];
         for register in 0..strip.mixture.registers() {
-            let values = strip.errors(register, &present.errors);
+            let values = strip.errors(register, present.errors);
             let mut sum = [0.0_f32; LANES];
             for c in 0..C {
                 let own = present.own[c];
@@ -253,11 +270,12 @@ impl<const C: usize> Vectorized for Squares<'_, C> {
 
     #[inline(always)]
     fn run<I: Isa>(mut self, _: I) -> u64 {
+        let mut errors = vec![[0.0; C]; self.strip.renders.len()];
         let mut changes = 0;
         for columns in self.strip.cells() {
             for y in 0..self.strip.rows.len() {
                 for x in columns.clone() {
-                    changes += u64::from(self.visit(self.strip.pixel(x, y)));
+                    changes += u64::from(self.visit(self.strip.pixel(x, y), &mut errors));
                 }
             }
         }
@@ -280,9 +298,9 @@ fn least(costs: &[f32], now: usize) -> Option<usize> {
 impl<const C: usize> Magnitudes<'_, C> {
     /// Σ w|r + δ·g| over the footprint for the candidates of a register, which differ by `change`.
     #[inline(always)]
-    fn magnitudes(&self, pixel: Pixel, change: &[Register; C]) -> Register {
+    fn magnitudes(&self, pixel: Pixel, change: &[Register; C], registers: usize) -> Register {
         let strip = &self.0;
-        let (height, registers) = (strip.footprint.height, strip.footprint.registers);
+        let height = strip.footprint.height;
         let mut sums = [[0.0_f32; LANES]; LANES];
         for (i, frame) in strip.frames.clone().enumerate() {
             let kernel = strip.footprint.frame(frame);
@@ -314,15 +332,18 @@ impl<const C: usize> Magnitudes<'_, C> {
 impl<const C: usize> Magnitudes<'_, C> {
     /// Visits a pixel. Returns whether it changes.
     #[inline(always)]
-    fn visit(&mut self, pixel: Pixel) -> bool {
+    fn visit(&mut self, pixel: Pixel, errors: &mut [[f32; C]]) -> bool {
         let strip = &self.0;
-        let present = strip.present(pixel);
+        let present = strip.present(pixel, errors);
         let mut costs = [0.0; MAX_CANDIDATES];
         for register in 0..strip.mixture.registers() {
-            let values = strip.errors(register, &present.errors);
+            let values = strip.errors(register, present.errors);
             let change: [Register; C] =
                 std::array::from_fn(|c| values[c].map(|value| value - present.own[c]));
-            let mut sum = self.magnitudes(pixel, &change);
+            let mut sum = match strip.footprint.registers {
+                1 => self.magnitudes(pixel, &change, 1),
+                registers => self.magnitudes(pixel, &change, registers),
+            };
             for c in 0..C {
                 for lane in 0..LANES {
                     sum[lane] += present.closeness[c] * values[c][lane].abs();
@@ -347,11 +368,12 @@ impl<const C: usize> Vectorized for Magnitudes<'_, C> {
 
     #[inline(always)]
     fn run<I: Isa>(mut self, _: I) -> u64 {
+        let mut errors = vec![[0.0; C]; self.0.renders.len()];
         let mut changes = 0;
         for columns in self.0.cells() {
             for y in 0..self.0.rows.len() {
                 for x in columns.clone() {
-                    changes += u64::from(self.visit(self.0.pixel(x, y)));
+                    changes += u64::from(self.visit(self.0.pixel(x, y), &mut errors));
                 }
             }
         }
