@@ -261,6 +261,20 @@ class Comparison(unittest.TestCase):
                 "Perceived error relative to white noise", (report / "index.html").read_text()
             )
 
+    def test_a_posteriori(self):
+        here = Path(__file__).parent
+        with tempfile.TemporaryDirectory() as folder:
+            command = [sys.executable, str(here / "posteriori.py"), folder, "--program", PROGRAM]
+            command += ["--scenes", "cornell,path", "--size", "48", "--frames", "18", "--spp", "128"]
+            subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+            result = json.loads((Path(folder) / "posteriori.json").read_text())
+            for scene in ("cornell", "path"):
+                error = {key: row["prelmse"] for key, row in result[scene].items()}
+                self.assertLess(error["select-true"], 0.006)
+                self.assertLess(error["select-true"], 0.1 * error["ours"])
+                self.assertLess(error["select-single"], 0.06)
+                self.assertAlmostEqual(error["mean of four"], 0.25, delta=0.05)
+
 
 if __name__ == "__main__":
     unittest.main()

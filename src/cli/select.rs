@@ -25,9 +25,12 @@ use outputs::Outputs;
 const EXAMPLES: &str = "\
 Examples:
   perceptile select --subsets --reference reference.npy --candidates a.npy b.npy c.npy d.npy
-  perceptile select --subsets --guide denoised/x.####.exr --continuation 0.2..0.03 \\
-      --candidates a/x.####.exr b/x.####.exr c/x.####.exr d/x.####.exr --out best/x.####.exr
+  perceptile select --subsets --guide denoised/x.####.exr --taa 0.1 --out best/x.####.exr \\
+      --candidates a/x.####.exr b/x.####.exr c/x.####.exr d/x.####.exr
   perceptile select --levels 64 --reference x.####.exr --out dithered/x.####.png";
+
+/// Where λ ends with a guide, whose own error should not be followed to the end.
+const GUIDED: f64 = 0.01;
 
 /// Choose among candidate renders of an animation, for every pixel and frame
 ///
@@ -109,10 +112,10 @@ pub struct SelectArgs {
     #[arg(long, value_name = "N", default_value_t = SelectOptions::default().sweeps, value_parser = whole::<u32>, help_heading = "Selection")]
     sweeps: u32,
 
-    /// Weight of the unfiltered error in the first and in the last sweep, or in the last one alone; with a
-    /// guide it should end above 0
-    #[arg(long, value_name = "FROM..TO", value_parser = continuation, default_value = "0.2..0", help_heading = "Selection")]
-    continuation: Continuation,
+    /// Weight of the unfiltered error in the first and in the last sweep, or in the last one alone
+    /// [default: 0.2..0, with a guide 0.2..0.01]
+    #[arg(long, value_name = "FROM..TO", value_parser = continuation, help_heading = "Selection")]
+    continuation: Option<Continuation>,
 
     /// Where the result goes; its scores go beside it [default: selected.npy, selected.####.exr, or
     /// with --levels dithered.####.png]
@@ -191,7 +194,12 @@ impl SelectArgs {
             NormChoice::L1 => Norm::L1,
             NormChoice::L2 => Norm::L2,
         };
-        SelectOptions { norm, sweeps: self.sweeps, continuation: self.continuation }
+        let default = match self.guide {
+            Some(_) => Continuation { to: GUIDED, ..Continuation::default() },
+            None => Continuation::default(),
+        };
+        let continuation = self.continuation.unwrap_or(default);
+        SelectOptions { norm, sweeps: self.sweeps, continuation }
     }
 
     fn existing(&self) -> Existing {

@@ -1,0 +1,211 @@
+"""A posteriori against a priori (the paper's Figure 5), rendered with Mitsuba 3.
+
+For every scene: four renders of white noise and one behind our default tile, one sample per pixel
+each, and a reference. `perceptile select` chooses among the means of the four, with the true
+reference and, where `pyoidn` can be imported, with guides that Open Image Denoise makes of the renders
+alone. All are judged by the paper's pRelMSE and, where `pycvvdp` can be imported, by ColorVideoVDP, a
+model of vision that is not ours. Everything goes to the folder OUT; what is there already is kept.
+
+    python posteriori.py OUT --program target/release/perceptile
+"""
+
+import argparse
+import json
+import subprocess
+from pathlib import Path
+
+import numpy as np
+
+import measure
+import render
+import tiles
+from assets import Assets
+from scenes import SCENES
+
+RENDERS = 4
+# From this frame on every kernel has all its frames: the paper's 16th.
+FIRST = 15
+# Weight of the newest frame in the mean that is denoised for the slower guide.
+SLOW = 0.3
+# Weight of the newest frame in the renderer's temporal anti-aliasing.
+TAA = 0.2
+# Where λ ends with a guide, if nothing else is asked for.
+END = 0.01
+
+
+def main():
+    """Reads the arguments, renders, selects, measures, and prints a table for each scene."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("out", type=Path, help="folder for everything that is made")
+    parser.add_argument("--program", default="perceptile", help="the program `perceptile`")
+    parser.add_argument("--scenes", default="cornell,path,shadows,veach", help="names of scenes")
+    parser.add_argument("--size", type=int, default=128, help="pixels along a side [128]")
+    parser.add_argument("--frames", type=int, default=24, help="frames, more than 16 [24]")
+    parser.add_argument("--spp", type=int, default=512, help="samples of the reference [512]")
+    parser.add_argument(
+        "--ends", default=str(END), help="where λ ends with a guide, with commas [0.01]"
+    )
+    parser.add_argument(
+        "--foreign", type=Path, help="another tile to compare with, such as FAST's"
+    )
+    args = parser.parse_args()
+    if args.frames <= FIRST or args.spp % render.PASS or args.spp < render.PASS:
+        parser.error(f"--frames must be above {FIRST} and --spp a multiple of {render.PASS}")
+    args.out.mkdir(parents=True, exist_ok=True)
+    kernel = measure.Kernel.of(args.program, tiles.perception(tiles.SIGMA))
+    vision = Vision.load()
+    results = {}
+    for name in args.scenes.split(","):
+        folder = args.out / name
+        folder.mkdir(exist_ok=True)
+        make(args, name, folder)
+        results[name] = judge(args, folder, kernel, vision)
+        table(name, results[name])
+    (args.out / "posteriori.json").write_text(json.dumps(results, indent=1))
+
+
+def make(args, name, folder):
+    """Renders a scene and lets the program choose."""
+    assets = Assets(args.out / "assets")
+    frames = [(t, t) for t in range(args.frames)]
+    samplers = {"white": {"type": "tile", "sample_count": 1}}
+    if not (folder / "0.npy").exists():
+        runs = render.animation(name, assets, samplers, RENDERS, frames, args.size)["white"]
+        for number, run in enumerate(runs):
+            np.save(folder / f"{number}.npy", run)
+    for key, file in apriori(args).items():
+        if not (folder / f"{key}.npy").exists():
+            beyond = {"beyond": "shift"} if SCENES[name].dims > 2 else {}
+            sampler = {"type": "tile", "filename": str(file), "sample_count": 1, **beyond}
+            run = render.animation(name, assets, {key: sampler}, 1, frames, args.size)[key]
+            np.save(folder / f"{key}.npy", run[0])
+    cache = args.out / "references"
+    cache.mkdir(exist_ok=True)
+    if not (folder / "reference.npy").exists():
+        times = [t for t, _ in frames]
+        made = render.reference(name, assets, times, args.size, args.spp, cache)
+        np.save(folder / "reference.npy", made)
+    select(args, folder, "true", "reference")
+    select(args, folder, "single", "reference", subsets=False)
+    select(args, folder, "paper", "reference", "0..0")
+    for guide in guides(folder):
+        for end in args.ends.split(","):
+            select(args, folder, f"{guide}-{end}", guide, f"0.2..{end}")
+
+
+def apriori(args):
+    """The tiles: our default one, and another."""
+    file = args.out / "tile.npy"
+    if not file.exists():
+        subprocess.run([args.program, "optimize", "--out", str(file), "--quiet"], check=True)
+    return {"ours": file, **({"foreign": args.foreign} if args.foreign else {})}
+
+
+def guides(folder):
+    """Stand-ins for the reference that need nothing but the renders, if they can be made."""
+    if (folder / "slow.npy").exists():
+        return ("denoised", "slow")
+    try:
+        import pyoidn
+    except ImportError:
+        return ()
+
+    mean = np.mean([np.load(folder / f"{k}.npy") for k in range(RENDERS)], axis=0)
+    slow = mean.copy()
+    for t in range(1, len(slow)):
+        slow[t] = SLOW * mean[t] + (1 - SLOW) * slow[t - 1]
+    for name, frames in (("denoised", mean), ("slow", slow)):
+        made = [pyoidn.denoise(np.ascontiguousarray(frame), hdr=True) for frame in frames]
+        np.save(folder / f"{name}.npy", np.maximum(np.stack(made), 0))
+    return ("denoised", "slow")
+
+
+def select(args, folder, name, guide, continuation=None, subsets=True):
+    """Chooses among the renders, unless that was done."""
+    out = folder / f"select-{name}.npy"
+    if out.exists():
+        return
+    command = [args.program, "select", "--progress", "none", "--out", str(out), "--candidates"]
+    command += [str(folder / f"{k}.npy") for k in range(RENDERS)]
+    command += ["--reference" if guide == "reference" else "--guide", str(folder / f"{guide}.npy")]
+    command += ["--kernel", tiles.perception(tiles.SIGMA)]
+    command += ["--subsets"] if subsets else []
+    command += ["--continuation", continuation] if continuation else []
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+
+
+def judge(args, folder, kernel, vision):
+    """pRelMSE relative to one render, and JOD, of everything in the folder."""
+    reference = np.load(folder / "reference.npy")
+    renders = [np.load(folder / f"{k}.npy") for k in range(RENDERS)]
+    seen = measure.blur(reference, kernel)
+
+    def error(frames):
+        blurred = measure.blur(frames, kernel)
+        errors = []
+        for t in range(FIRST, len(frames)):
+            exact = measure.lag(seen, kernel.time, t)
+            errors.append(measure.relative(measure.lag(blurred, kernel.time, t) - exact, exact))
+        return float(np.mean(errors))
+
+    one = np.mean([error(frames) for frames in renders])
+    pictures = {"one render": renders[0], "mean of four": np.mean(renders, axis=0)}
+    for path in sorted(folder.glob("*.npy")):
+        if path.stem not in ("reference", *map(str, range(RENDERS))):
+            pictures[path.stem] = np.load(path)
+    result = {}
+    for key, frames in pictures.items():
+        result[key] = {"prelmse": 1.0 if key == "one render" else error(frames) / one}
+        if vision:
+            result[key]["jod"] = vision.jod(frames, reference)
+            result[key]["jod_taa"] = vision.jod(lagged(frames), lagged(reference))
+    return result
+
+
+def lagged(frames):
+    """Frames behind temporal anti-aliasing."""
+    result = frames.copy()
+    for t in range(1, len(frames)):
+        result[t] = TAA * frames[t] + (1 - TAA) * result[t - 1]
+    return result
+
+
+class Vision:
+    """ColorVideoVDP: 75 pixels per degree, 60 Hz, sRGB."""
+
+    def __init__(self, model):
+        self.model = model
+
+    @classmethod
+    def load(cls):
+        """The model, if it is installed."""
+        try:
+            import pycvvdp
+        except ImportError:
+            return None
+        return cls(pycvvdp.cvvdp(display_name="standard_4k", quiet=True))
+
+    def jod(self, frames, reference):
+        """Just-objectionable differences: 10 is no difference."""
+        pair = (srgb(frames), srgb(reference))
+        return float(self.model.predict(*pair, dim_order="FHWC", frames_per_second=60)[0])
+
+
+def srgb(light):
+    """Light as values of an sRGB display."""
+    light = np.clip(light, 0, 1)
+    curve = 1.055 * np.maximum(light, 0.0031308) ** (1 / 2.4) - 0.055
+    return np.where(light <= 0.0031308, 12.92 * light, curve).astype(np.float32)
+
+
+def table(name, result):
+    """Prints a scene's rows."""
+    print(f"\n{SCENES[name].title}")
+    print("| | pRelMSE | JOD | JOD behind TAA |\n|---|---|---|---|")
+    for key, row in result.items():
+        jod = [f"{row[k]:.2f}" if k in row else "" for k in ("jod", "jod_taa")]
+        print(f"| {key} | {row['prelmse']:.3g} | {' | '.join(jod)} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
