@@ -269,8 +269,8 @@ impl Animation {
                 planes
             }
         };
-        // Also what is not a number.
-        match planes.iter().position(|value| !(value.abs() <= MAX_VALUE)) {
+        let is_strange = |value: &f32| value.is_nan() || value.abs() > MAX_VALUE;
+        match planes.iter().position(is_strange) {
             None => Ok(planes),
             Some(at) => Err(AnimationError::Value {
                 path: self.path(frame).to_owned(),

@@ -771,9 +771,8 @@ impl Selection {
         let round = self.next_round();
         let Self { plan, worker, window, filters, norm, sums, .. } = self;
         let strips = plan.strips.len();
-        window.sums.deal(
-            (0..strips).map(|strip| vec![strip * plan.sums..(strip + 1) * plan.sums]).collect(),
-        );
+        let sums_of = |strip: usize| strip * plan.sums..(strip + 1) * plan.sums;
+        window.sums.deal((0..strips).map(|strip| vec![sums_of(strip)]).collect());
         let shares = Shares {
             plan,
             filters,

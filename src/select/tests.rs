@@ -278,13 +278,10 @@ fn scores_are_those_of_the_definition() {
         let chosen = |t: usize, i: usize| f64::from(f32::from_bits(outcome.pictures[t][i]));
         let mean = |t: usize, i: usize| (render(0)(t, i) + render(1)(t, i)) / 2.0;
         let SelectScores { selection, mean: of_mean, renders, .. } = &outcome.scores;
-        let cases: [(&MethodScores, &dyn Fn(usize, usize) -> f64); 4] = [
-            (selection, &chosen),
-            (of_mean, &mean),
-            (&renders[0], &render(0)),
-            (&renders[1], &render(1)),
-        ];
-        for (found, picture) in cases {
+        let pictures: [&dyn Fn(usize, usize) -> f64; 4] = [&chosen, &mean, &render(0), &render(1)];
+        for (found, picture) in
+            [selection, of_mean, &renders[0], &renders[1]].into_iter().zip(pictures)
+        {
             let right = score(&eye, picture);
             assert!((found.plain / right - 1.0).abs() < 2e-4, "{} for {right}", found.plain);
             if let Some(taa) = found.taa {

@@ -344,9 +344,9 @@ impl<const C: usize> Magnitudes<'_, C> {
                 1 => self.magnitudes(pixel, &change, 1),
                 registers => self.magnitudes(pixel, &change, registers),
             };
-            for c in 0..C {
+            for (values, closeness) in values.iter().zip(present.closeness) {
                 for lane in 0..LANES {
-                    sum[lane] += present.closeness[c] * values[c][lane].abs();
+                    sum[lane] += closeness * values[lane].abs();
                 }
             }
             costs[register * LANES..][..LANES].copy_from_slice(&sum);
