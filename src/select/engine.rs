@@ -9,7 +9,7 @@ use super::filter::{Border, Filter, FilterScratch, Rows, add};
 use super::footprint::Footprint;
 use super::mixture::{MAX_CANDIDATES, MAX_SUBSET_RENDERS, Mixture};
 use super::options::{Norm, SelectOptions};
-use super::score::{Method, SelectScores, Sums, strip_sums};
+use super::score::{Method, Scored, SelectScores, Sums, strip_sums};
 use super::state::SelectState;
 use super::strips::COLOURS;
 use super::visit::{Magnitudes, Squares, Strip};
@@ -436,8 +436,12 @@ impl Selection {
             }
         }
         while self.prepared < (wave + past + 1).min(frames) {
-            self.prepare(self.prepared);
+            let frame = self.prepared;
+            self.prepare(frame);
             self.prepared += 1;
+            if self.scored().contains(&frame) {
+                self.score(frame, Scored::Others);
+            }
         }
         if self.norm == Norm::L2 && wave < frames {
             self.curve(wave);
@@ -466,7 +470,8 @@ impl Selection {
             true => last.saturating_sub(future)..frames,
             false => last.saturating_sub(future)..(last + 1).saturating_sub(future),
         };
-        seen.filter(|frame| scored.contains(frame)).for_each(|frame| self.score(frame));
+        seen.filter(|frame| scored.contains(frame))
+            .for_each(|frame| self.score(frame, Scored::Selection));
         last + 1 < frames
     }
 
@@ -767,7 +772,7 @@ impl Selection {
     }
 
     /// Adds the scores of a frame.
-    fn score(&mut self, frame: usize) {
+    fn score(&mut self, frame: usize, scored: Scored) {
         let round = self.next_round();
         let Self { plan, worker, window, filters, norm, sums, .. } = self;
         let strips = plan.strips.len();
@@ -784,9 +789,9 @@ impl Selection {
         };
         worker.round(round, Ends::Half, 0..strips, (&mut window.sums,), |job, (mut of_strip,)| {
             let rows = plan.strips.rows(job.index());
-            strip_sums(&shares, frame, rows, of_strip.piece(0));
+            strip_sums(&shares, (frame, scored), rows, of_strip.piece(0));
         });
-        sums.add(&window.sums.whole()[..strips * plan.sums]);
+        sums.add(&window.sums.whole()[..strips * plan.sums], scored);
     }
 
     /// Prepares all frames, which must fit into the window.

@@ -24,6 +24,14 @@ impl Method {
     }
 }
 
+/// Which methods are scored: renders as soon as the frames around are there, so that they need not stay
+/// in memory until the selection is done.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Scored {
+    Selection,
+    Others,
+}
+
 /// Sums of squares over frames.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Sums {
@@ -66,8 +74,8 @@ impl Sums {
     }
 
     /// Adds the sums of a frame's strips, in their order.
-    pub fn add(&mut self, strips: &[f64]) {
-        self.frames += 1;
+    pub fn add(&mut self, strips: &[f64], scored: Scored) {
+        self.frames += usize::from(scored == Scored::Selection);
         for strip in strips.chunks_exact(2 * self.sums.len()) {
             for (sum, found) in self.sums.iter_mut().zip(strip.as_chunks().0) {
                 let [plain, taa]: [f64; 2] = *found;
@@ -88,8 +96,14 @@ impl Sums {
     }
 }
 
-/// The sums of squares of a strip of a frame: for each method, without TAA and with it.
-pub(super) fn strip_sums(shares: &Shares<'_>, frame: usize, rows: Range<usize>, sums: &mut [f64]) {
+/// The sums of squares of a strip of a frame: for each method, without TAA and with it; 0 for those that
+/// are not scored.
+pub(super) fn strip_sums(
+    shares: &Shares<'_>,
+    (frame, scored): (usize, Scored),
+    rows: Range<usize>,
+    sums: &mut [f64],
+) {
     let plan: &WindowPlan = shares.plan;
     let (shape, [left, top]) = (plan.shape, plan.corner);
     let within = (rows.clone(), shape.height());
@@ -126,6 +140,9 @@ pub(super) fn strip_sums(shares: &Shares<'_>, frame: usize, rows: Range<usize>, 
             shares.shift(frame, channel, &within, &mut FilterScratch::default(), &mut shift);
         }
         for (method, sums) in Method::all(plan.renders).zip(sums.as_chunks_mut::<2>().0) {
+            if (method == Method::Selection) != (scored == Scored::Selection) {
+                continue;
+            }
             let errors = shares.errors(method, channel);
             sums[0] += measure(&shares.filters.eye, None, &errors);
             if let Some(render) = &shares.filters.render {

@@ -1,9 +1,10 @@
 //! The frames of an animation that are in memory: rings, in which a new frame takes the place of the
 //! oldest.
 //!
-//! Two rings hold pictures, pixel by pixel: the reference, the renders and what is chosen. Two hold
-//! what sweeps see, with margins around each picture that nobody looks into: the residual and the
-//! weights. One holds the curvature of the frames that are being visited.
+//! Three rings hold pictures, pixel by pixel: the reference and what is chosen, until all that see
+//! them are scored, and the renders, until they have been visited. Two hold what sweeps see, with
+//! margins around each picture that nobody looks into: the residual and the weights. One holds the
+//! curvature of the frames that are being visited.
 
 use std::ops::Range;
 
@@ -20,9 +21,9 @@ use super::{AnimationShape, SelectError};
 pub(super) struct WindowPlan {
     pub shape: AnimationShape,
     pub renders: usize,
-    /// Frames of the rings of pictures.
+    /// Frames of the rings of the reference and of what is chosen.
     pub pictures: usize,
-    /// Frames of the rings of residual and weights.
+    /// Frames of the rings of renders, residual and weights.
     pub seen: usize,
     /// Frames of the ring of curvatures; 0 where none is needed.
     pub visited: usize,
@@ -85,7 +86,7 @@ impl WindowPlan {
             seen,
             product(&[self.visited, values]),
             product(&[self.pictures, values]),
-            product(&[self.pictures, self.renders, values]),
+            product(&[self.seen, self.renders, values]),
             product(&[self.pictures, values]),
             self.pictures.saturating_mul(self.shape.pixels()),
             product(&[2, self.strips.len(), self.sums]),
@@ -144,7 +145,7 @@ impl WindowPlan {
         channel: usize,
         rows: Range<usize>,
     ) -> Range<usize> {
-        let slot = frame % self.pictures * self.renders + render;
+        let slot = frame % self.seen * self.renders + render;
         self.of_picture(slot * self.shape.channels() + channel, rows)
     }
 

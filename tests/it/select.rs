@@ -274,6 +274,37 @@ fn a_stopped_selection_goes_on_with_the_same_command() {
 }
 
 #[test]
+fn an_interrupted_selection_goes_on_from_wherever_it_was() {
+    let folder = folder("exr");
+    let of = |out: &Path| {
+        let out = out.to_str().unwrap().to_owned();
+        arguments(folder.path(), EXR, &["--norm", "l1", "--sweeps", "200", "--out", &out])
+    };
+    let whole = folder.path().join("whole.####.exr");
+    assert!(perceptile().args(of(&whole)).output().unwrap().status.success());
+    // Before it has done a frame, and after.
+    let part = folder.path().join("part.####.exr");
+    let state = folder.path().join("part.state");
+    let mut child = perceptile().args(of(&part)).spawn().unwrap();
+    crate::tool::until("there is a state", || state.exists());
+    let id = rustix::process::Pid::from_raw(child.id() as i32).unwrap();
+    let _ = rustix::process::kill_process(id, rustix::process::Signal::INT);
+    let code = child.wait().unwrap().code();
+    assert!(matches!(code, Some(0 | 130)), "{code:?}");
+    if code == Some(130) {
+        assert!(state.exists());
+        let done = perceptile().args(of(&part)).output().unwrap();
+        assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    }
+    for frame in 9..15 {
+        let read =
+            |name: &str| fs::read(folder.path().join(format!("{name}.{frame:04}.exr"))).unwrap();
+        assert_eq!(read("whole"), read("part"));
+    }
+    assert!(!state.exists());
+}
+
+#[test]
 fn levels_are_the_two_nearest_and_less_error_is_seen_than_of_noise() {
     let folder = tempfile::tempdir().unwrap();
     let [frames, height, width] = [10, 20, 32];

@@ -9,7 +9,7 @@ use std::time::Instant;
 use perceptile::format::animation::{Animation, AnimationError};
 use perceptile::gradient::simd::Simd;
 use perceptile::run::memory;
-use perceptile::select::{Filters, Frame, SelectOptions, Selection, foreseen};
+use perceptile::select::{Filters, Frame, SelectOptions, SelectState, Selection, foreseen};
 use sha2::{Digest, Sha256};
 
 use super::SelectArgs;
@@ -71,37 +71,40 @@ impl Job<'_> {
     pub fn run(&self, args: &SelectArgs, outputs: Outputs) -> Result<ExitCode, Failure> {
         self.check_memory()?;
         let intent = summary::intent(self, &outputs)?;
-        let (claimed, kept) = outputs.claim(self.digest(args)?)?;
         let pool = execution::pool(self.threads)?;
         pool.install(|| {
             let (renders, shape) = (self.inputs.renders(), self.inputs.shape()?);
             let engine = || Selection::new(shape, self.filters, renders, &self.options, self.simd);
             let mut engines: Vec<Selection> =
                 (0..self.inputs.engines()).map(|_| engine()).collect::<Result<_, _>>()?;
-            let mut done = 0;
-            if let Some(states) = kept {
-                done = states[0].done();
-                for (engine, state) in engines.iter_mut().zip(states) {
-                    engine.restore(state)?;
+            // From here on there are files that a signal must not leave behind.
+            let mut progress = Progress::open(args.progress, shape.frames())
+                .map_err(Failure::refused("cannot listen for signals"))?;
+            let (mut claimed, kept) = outputs.claim(self.digest(args)?)?;
+            let done = kept.first().map_or(0, SelectState::done);
+            for (engine, state) in engines.iter_mut().zip(kept) {
+                engine.restore(state)?;
+            }
+            progress.begin(intent.trim_end(), done);
+            match self.go_on(args, engines, &mut claimed, &mut progress) {
+                Ok(Some(report)) => self.finish(args, claimed, &report),
+                Ok(None) => Ok(ExitCode::from(progress.received().unwrap_or(1) as u8)),
+                Err(failure) => {
+                    claimed.abandon();
+                    Err(failure)
                 }
             }
-            let mut progress = Progress::open(args.progress, shape.frames(), done)
-                .map_err(Failure::refused("cannot listen for signals"))?;
-            progress.begin(intent.trim_end());
-            if done > 0 {
-                progress.begin(&format!("going on behind frame {done}"));
-            }
-            self.go_on(args, engines, claimed, &mut progress)
         })
     }
 
+    /// Goes on until all frames are done, or nothing if a signal comes before.
     fn go_on(
         &self,
         args: &SelectArgs,
         mut engines: Vec<Selection>,
-        mut claimed: Claimed,
+        claimed: &mut Claimed,
         progress: &mut Progress,
-    ) -> Result<ExitCode, Failure> {
+    ) -> Result<Option<summary::Report>, Failure> {
         let start = Instant::now();
         let mut seconds = Seconds::default();
         let first = engines[0].needed().start;
@@ -120,9 +123,9 @@ impl Job<'_> {
             });
             let mut more = true;
             while more {
-                if let Some(code) = progress.received() {
+                if progress.received().is_some() {
                     progress.clear();
-                    return Ok(ExitCode::from(code as u8));
+                    return Ok(None);
                 }
                 let states: Option<Vec<_>> = engines.iter().map(Selection::state).collect();
                 if let Some(states) = states {
@@ -158,14 +161,23 @@ impl Job<'_> {
             }
             progress.clear();
             seconds.all = start.elapsed().as_secs_f64();
-            let report = summary::Report::new(self, args, &engines, seconds, claimed.outputs());
-            claimed.finish(&report)?;
-            for warning in report.warnings() {
-                say(warning);
-            }
-            show(args.json, &report, || report.text())?;
-            Ok(ExitCode::SUCCESS)
+            Ok(Some(summary::Report::new(self, args, &engines, seconds, claimed.outputs())))
         })
+    }
+
+    /// Gives the result its name and says what came out.
+    fn finish(
+        &self,
+        args: &SelectArgs,
+        claimed: Claimed,
+        report: &summary::Report,
+    ) -> Result<ExitCode, Failure> {
+        claimed.finish(report)?;
+        for warning in report.warnings() {
+            say(warning);
+        }
+        show(args.json, report, || report.text())?;
+        Ok(ExitCode::SUCCESS)
     }
 
     /// A number of all that decides the result: settings and the files as they are now.

@@ -64,6 +64,10 @@ pub struct Claimed {
     outputs: Outputs,
     digest: String,
     array: Option<File>,
+    /// What frames may replace: their like, if the selection goes on.
+    frames: Existing,
+    /// Whether there is anything to go on from.
+    has_frames: bool,
     _claim: Claim,
 }
 
@@ -130,11 +134,12 @@ impl Outputs {
         path_of(&self.result, self.first + frame as u64)
     }
 
-    /// Claims the outputs, and finds what a selection of this digest can go on from.
+    /// Claims the outputs, and finds what a selection of this digest can go on from: the states of all
+    /// engines, or nothing at its beginning.
     ///
     /// # Errors
     /// Outputs that exist, or that others are making; folders that are missing.
-    pub fn claim(self, digest: String) -> Result<(Claimed, Option<Vec<SelectState>>), Failure> {
+    pub fn claim(self, digest: String) -> Result<(Claimed, Vec<SelectState>), Failure> {
         let claim = Claim::new(&self.scores, Existing::Replace)?;
         let kept = self.kept(&digest)?;
         if kept.is_none() {
@@ -147,9 +152,21 @@ impl Outputs {
             let array = matches!(self.form, Form::Npy { .. }).then(|| self.result.clone());
             write::probe(whole.chain(array).chain(files), self.existing)?;
         }
-        let mut claimed = Claimed { outputs: self, digest, array: None, _claim: claim };
-        claimed.open(kept.as_ref().map_or(0, |states| states[0].done()))?;
-        Ok((claimed, kept))
+        let frames = if kept.is_some() { Existing::Replace } else { self.existing };
+        let mut claimed = Claimed {
+            outputs: self,
+            digest,
+            array: None,
+            frames,
+            has_frames: kept.is_some(),
+            _claim: claim,
+        };
+        let states = kept.unwrap_or_default();
+        claimed.open(states.first().map_or(0, SelectState::done))?;
+        if !claimed.has_frames {
+            claimed.keep(Vec::new())?;
+        }
+        Ok((claimed, states))
     }
 
     /// The states that are kept, if they are of this digest.
@@ -160,7 +177,7 @@ impl Outputs {
         let bytes = fs::read(&self.state)
             .map_err(Failure::refused(&format!("cannot read {}", self.state.display())))?;
         let kept = codec::decode::<Kept, MOST>(&bytes).ok();
-        let kept = kept.filter(|kept| kept.digest == digest && !kept.states.is_empty());
+        let kept = kept.filter(|kept| kept.digest == digest);
         match kept {
             Some(kept) => Ok(Some(kept.states)),
             None => Err(Failure::exists(format!(
@@ -231,8 +248,10 @@ impl Claimed {
                     }
                     out.flush()
                 };
-                return write()
-                    .map_err(Failure::refused(&format!("cannot write {}", partial.display())));
+                write()
+                    .map_err(Failure::refused(&format!("cannot write {}", partial.display())))?;
+                self.has_frames = true;
+                return Ok(());
             }
             Form::Exr { carried: true, .. } => {
                 let files: Vec<&Path> =
@@ -248,9 +267,19 @@ impl Claimed {
         };
         let what = format!("cannot write {}", path.display());
         let bytes = bytes.map_err(Failure::refused(&what))?;
-        // Frames of a selection that was stopped are made again.
-        write::write(&path, Existing::Replace, |out| out.write_all(&bytes))?;
+        write::write(&path, self.frames, |out| out.write_all(&bytes))?;
+        self.has_frames = true;
         Ok(())
+    }
+
+    /// Leaves nothing behind, if there is no frame yet.
+    pub fn abandon(self) {
+        if !self.has_frames {
+            let _ = fs::remove_file(&self.outputs.state);
+            if let Form::Npy { partial } = &self.outputs.form {
+                let _ = fs::remove_file(partial);
+            }
+        }
     }
 
     /// Keeps what the selection can go on from.

@@ -49,7 +49,7 @@ impl Progress {
     ///
     /// # Errors
     /// What the system reports.
-    pub fn open(shown: Shown, frames: usize, done: usize) -> io::Result<Self> {
+    pub fn open(shown: Shown, frames: usize) -> io::Result<Self> {
         let now = Instant::now();
         let bar = || {
             let style = ProgressStyle::with_template("select   {bar:32} {pos}/{len} frames  {msg}");
@@ -70,7 +70,7 @@ impl Progress {
                 false => say(words),
             }
         })?;
-        Ok(Self { display, signals, frames, since: (now, done) })
+        Ok(Self { display, signals, frames, since: (now, 0) })
     }
 
     /// The exit code for the signal that has arrived, if one has.
@@ -78,10 +78,14 @@ impl Progress {
         self.signals.received()
     }
 
-    /// Says what is about to begin, to people.
-    pub fn begin(&self, words: &str) {
+    /// Says what is about to begin, behind so many frames, to people.
+    pub fn begin(&mut self, words: &str, done: usize) {
+        self.since = (Instant::now(), done);
         if matches!(self.display, Display::Bar(_) | Display::Lines { .. }) {
             say(words);
+            if done > 0 {
+                say(format_args!("going on behind frame {done}"));
+            }
         }
     }
 
