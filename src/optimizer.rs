@@ -290,12 +290,13 @@ impl Run {
         &self.options
     }
 
-    /// The tile's scores through the run's own kernel, as [`Tile::scores`] has them.
+    /// The tile's scores, as [`Tile::scores`] has them, through what the run's kernel is made for
+    /// ([`KernelSpec::perceived`]).
     ///
     /// # Errors
     /// A kernel from a file that can no longer be read.
     pub fn scores(&self) -> Result<Scores, ScoreError> {
-        self.tile.scores(&self.options.kernel)
+        self.tile.scores(&self.options.kernel.perceived(self.tile.shape()))
     }
 }
 

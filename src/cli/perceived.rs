@@ -21,7 +21,7 @@ const DEFAULT: &str = "gaussian(2.1) * fovvideovdp(60) @ 7x7x8";
 #[command(next_help_heading = "Kernel")]
 pub struct PerceivedArgs {
     /// The kernel through which error is seen; of a mixture, only its first term is used [default: from
-    /// the flags below if one is given, else the kernel in the first tile's sidecar, else
+    /// the flags below if one is given, else what the first tile was made for as its sidecar says, else
     /// "gaussian(2.1) * fovvideovdp(60) @ 7x7x8"]
     #[arg(long, value_name = "SPEC")]
     kernel: Option<KernelSpec>,
@@ -76,7 +76,7 @@ impl PerceivedArgs {
     }
 }
 
-/// The kernel that a tile was made for; otherwise what people read of the default's origin.
+/// The kernel that a tile was made for, whole; otherwise what people read of the default's origin.
 fn of_sidecar(tile: &Path, shape: TileShape) -> Result<PerceivedKernel, String> {
     let path = Sidecar::find(tile).ok_or("the default")?;
     let not = |why: &str| format!("the default, as {} {why}", path.display());
@@ -86,5 +86,6 @@ fn of_sidecar(tile: &Path, shape: TileShape) -> Result<PerceivedKernel, String> 
     }
     let kernel: KernelSpec =
         sidecar.kernel.parse().map_err(|_| not("has a kernel that cannot be read"))?;
-    Ok(PerceivedKernel { spec: kernel.first(), origin: format!("from {}", path.display()) })
+    let spec = kernel.perceived(shape);
+    Ok(PerceivedKernel { spec, origin: format!("from {}", path.display()) })
 }

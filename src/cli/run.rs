@@ -163,7 +163,9 @@ impl RunArgs {
         // A stopped run is to end soon, so it is not scored.
         let is_scored = invocation.integrands > 0 && !interrupted && terminal.received().is_none();
         let tile = is_scored.then(|| output.tile());
-        let taps = &plan.kernel.classes()[0].taps;
+        let seen = plan.options.kernel.perceived(plan.options.shape);
+        let seen = seen.resolve(plan.options.shape)?;
+        let taps = &seen.classes()[0].taps;
         let score = |tile: &Tile| {
             let options = ScoreOptions { integrands: invocation.integrands, ..Default::default() };
             pool.install(|| Scorer::new(plan.options.shape, taps, options)?.score(tile))

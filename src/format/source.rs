@@ -294,6 +294,17 @@ impl TileSource {
                 names.push(name.to_string_lossy().into_owned());
             }
         }
+        // A lone picture that is higher than wide and has no number of a frame is a strip.
+        if let [name] = names.as_slice()
+            && !name.contains("_f0")
+        {
+            let path = self.path.join(name);
+            let (file, bytes) = open(&path)?;
+            let raster = decode(&path, file, bytes)?;
+            if raster.height > raster.width {
+                return Self { path, ..self.clone() }.read();
+            }
+        }
         let series = Series::new(names)
             .map_err(|error| SourceError::Series { path: self.path.clone(), error })?;
         let read = |name: &String| {

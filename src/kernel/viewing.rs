@@ -78,6 +78,23 @@ impl Viewing {
         ])
     }
 
+    /// The viewing whose kernel for a tile of this shape is this one.
+    fn of(kernel: &KernelSpec, shape: TileShape) -> Option<Self> {
+        let ClassKind::Product { factors, .. } = &kernel.classes()[0].kind else { return None };
+        let [Factor::Gaussian { sigma, radius: None }, Factor::FovVideoVdp { fps }, rest @ ..] =
+            factors.as_slice()
+        else {
+            return None;
+        };
+        let taa = match rest {
+            [] => None,
+            [Factor::Ema { alpha }] => Some(*alpha),
+            _ => return None,
+        };
+        let viewing = Self { fps: *fps, taa, sigma: *sigma };
+        (viewing.kernel(shape).ok()? == *kernel).then_some(viewing)
+    }
+
     /// The product, cut to at most so many frames.
     fn product(&self, shape: TileShape, most: u32) -> Result<ClassKind, SpecProblem> {
         let mut factors = vec![
@@ -119,6 +136,17 @@ impl Viewing {
     }
 }
 
+impl KernelSpec {
+    /// The kernel through which the error of a tile is seen that is made with this one. Of a mixture that
+    /// a [`Viewing`] makes that is the whole of its filter, also where the tile is shorter in time;
+    /// else it is the first class.
+    pub fn perceived(&self, shape: TileShape) -> Self {
+        Viewing::of(self, shape)
+            .and_then(|viewing| viewing.perceived(shape).ok())
+            .unwrap_or_else(|| self.first())
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -138,6 +166,22 @@ mod tests {
         assert_eq!(text(taa, 64), format!("0.84: {behind}35 + 0.06: column + 0.1: box(32)"));
         assert_eq!(text(taa, 1), format!("0.84: {behind}1 + 0.06: column + 0.1: box(1)"));
         assert_eq!(taa.perceived(shape(1)).unwrap().to_string(), format!("{behind}35"));
+    }
+
+    #[test]
+    fn a_tile_is_seen_through_the_whole_of_what_it_is_made_for() {
+        let taa = Viewing { fps: 120.0, taa: Some(0.1), ..Viewing::default() };
+        let seen = |spec: &KernelSpec, frames| spec.perceived(shape(frames)).to_string();
+        let made = taa.kernel(shape(16)).unwrap();
+        assert_eq!(seen(&made, 16), "gaussian(2.1) * fovvideovdp(120) * ema(0.1) @ 7x7x35");
+        // It is no viewing's for a tile of another length, nor with another box.
+        let short = "gaussian(2.1) * fovvideovdp(120) * ema(0.1) @ 7x7x16";
+        assert_eq!(seen(&made, 20), short);
+        assert_eq!(seen(&short.parse().unwrap(), 16), short);
+        let default = Viewing::default();
+        let plain = "gaussian(2.1) * fovvideovdp(60) @ 7x7x8";
+        assert_eq!(seen(&default.kernel(shape(16)).unwrap(), 16), plain);
+        assert_eq!(seen(&"0.5: frame + 0.5: column".parse().unwrap(), 16), "frame");
     }
 
     #[test]

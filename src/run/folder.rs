@@ -108,7 +108,10 @@ pub enum FolderError {
         number: u64,
     },
     /// There is nothing to resume.
-    #[error("{} holds no checkpoint that a run could go on from", .0.display())]
+    #[error(
+        "{} holds no checkpoint that a run could go on from{}", .0.display(),
+        if .0.is_dir() { "" } else { ": there is no such folder, and a run writes its first checkpoint after a minute unless --checkpoint says otherwise" }
+    )]
     NoRun(PathBuf),
     /// All that there is to resume is damaged.
     #[error("{} holds no checkpoint that can be used:{}", path.display(), list(damaged))]

@@ -248,6 +248,13 @@ fn a_strip_is_cut_into_squares_or_as_told() {
     save(&folder.path().join("odd"), &gray(4, 7, 0));
     let odd = TileSource::new(folder.path().join("odd")).read();
     assert!(matches!(odd, Err(SourceError::Strip { .. })));
+    // Also where it lies alone in a folder, as it is exported; a slice says its frame.
+    let alone = folder.path().join("alone");
+    fs::create_dir(&alone).unwrap();
+    save(&alone.join("noise.png"), &gray(4, 24, 0));
+    assert_eq!(TileSource::new(&alone).read().unwrap().shape(), shape(4, 4, 6, 1, 1));
+    fs::rename(alone.join("noise.png"), alone.join("noise_f000.png")).unwrap();
+    assert_eq!(TileSource::new(&alone).read().unwrap().shape(), shape(4, 24, 1, 1, 1));
 }
 
 #[test]
