@@ -17,6 +17,7 @@ mod number;
 mod optimize;
 mod perceived;
 mod prepared;
+mod preset;
 mod presets;
 mod profile;
 mod progress;

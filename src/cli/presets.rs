@@ -1,12 +1,11 @@
-//! Presets as users meet them: their names as values of `--preset`, what each is for, and
-//! `perceptile presets`, which shows what they set.
+//! `perceptile presets`: what the presets set.
 
 use clap::Args;
-use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use perceptile::solver::Preset;
 use serde_json::{Map, Value};
 
 use super::exit::Failure;
+use super::preset::purpose;
 use super::settings::Settings;
 use super::stream::show;
 
@@ -33,24 +32,6 @@ const COLUMNS: [(&str, usize); 7] = [
     ("polish", 8),
 ];
 
-/// Reads the name of a preset.
-pub fn name() -> impl TypedValueParser<Value = Preset> {
-    let names = Preset::ALL.map(|(preset, name)| PossibleValue::new(name).help(purpose(preset)));
-    let preset = |name: String| Preset::ALL.into_iter().find(|&(_, its)| its == name);
-    PossibleValuesParser::new(names).map(move |name| preset(name).expect("one of the names").0)
-}
-
-/// What a preset is for.
-fn purpose(preset: Preset) -> &'static str {
-    match preset {
-        Preset::Best => "The best 64x64x16 tile that half a minute of two cores allows",
-        Preset::Quick => "The same tile in seconds",
-        Preset::Paper => "The paper's job: 128x128x30, 10000 steps of 4096 draws",
-        Preset::PaperTaa => "The paper's job for frames accumulated with alpha 0.2",
-        Preset::Salaun => "Spatial blue noise, every frame its own",
-    }
-}
-
 /// Prints the presets.
 ///
 /// # Errors
@@ -63,7 +44,7 @@ pub fn run(args: &PresetsArgs) -> Result<(), Failure> {
         Ok(all)
     };
     let presets: Vec<_> = Preset::ALL.into_iter().map(all).collect::<Result<_, _>>()?;
-    show(args.json, &presets, || table(&presets))
+    Ok(show(args.json, &presets, || table(&presets))?)
 }
 
 /// The form for people: a line of numbers for each preset, and one with its kernel.

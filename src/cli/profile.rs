@@ -151,7 +151,7 @@ fn show<T: Serialize + Display>(
         let (picture, existing) = (svg(result), Existing::from_force(args.force));
         write::write(path, existing, |out| out.write_all(picture.as_bytes()))?;
     }
-    stream::show(args.json, result, || result.to_string())
+    Ok(stream::show(args.json, result, || result.to_string())?)
 }
 
 /// Reads the time of a measurement.

@@ -182,7 +182,7 @@ pub fn run(args: &SelectArgs) -> Result<ExitCode, Failure> {
     };
     if args.dry_run {
         job.check_memory()?;
-        super::stream::print(&summary::intent(&job, &outputs)?)?;
+        super::stream::print(&job.intent(&outputs)?)?;
         return Ok(ExitCode::SUCCESS);
     }
     job.run(args, outputs)

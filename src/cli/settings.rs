@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use super::exit::{Failure, Misuse};
 use super::number::whole;
-use super::presets;
+use super::preset;
 use super::viewing::ViewingArgs;
 
 /// Width × height × frames of a tile, written `128x128x30`.
@@ -99,7 +99,7 @@ macro_rules! settings {
 
 settings! {
     /// Named set of defaults, see `perceptile presets`; the other flags override it [default: best]
-    #[arg(value_parser = presets::name(), help_heading = "Tile")]
+    #[arg(value_parser = preset::name(), help_heading = "Tile")]
     preset: Preset,
 
     /// Width x height x frames [default: 64x64x16; paper 128x128x30; paper-taa 128x128x30]

@@ -10,12 +10,16 @@ use std::io::{self, Write};
 use serde::Serialize;
 use thiserror::Error;
 
-use super::exit::Failure;
-
-/// The standard output takes no more, and not because its reader has gone.
+/// A result cannot be printed.
 #[derive(Debug, Error)]
-#[error("cannot write to the standard output: {0}")]
-pub struct OutputError(io::Error);
+pub enum OutputError {
+    /// The standard output takes no more, and not because its reader has gone.
+    #[error("cannot write to the standard output: {0}")]
+    Io(io::Error),
+    /// It cannot be JSON.
+    #[error("cannot print JSON: {0}")]
+    Json(#[from] serde_json::Error),
+}
 
 /// Writes a result to the standard output; that its reader went away is no error.
 ///
@@ -24,7 +28,7 @@ pub struct OutputError(io::Error);
 pub fn print(text: &str) -> Result<(), OutputError> {
     let mut out = io::stdout().lock();
     match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
-        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => Err(OutputError(error)),
+        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => Err(OutputError::Io(error)),
         _ => Ok(()),
     }
 }
@@ -32,14 +36,14 @@ pub fn print(text: &str) -> Result<(), OutputError> {
 /// Writes a result to the standard output, as JSON or as `text` for people.
 ///
 /// # Errors
-/// As for [`print`].
+/// As for [`print`], and what cannot be JSON.
 pub fn show(
     json: bool,
     result: &impl Serialize,
     text: impl FnOnce() -> String,
-) -> Result<(), Failure> {
+) -> Result<(), OutputError> {
     let text = if json { serde_json::to_string_pretty(result)? + "\n" } else { text() };
-    Ok(print(&text)?)
+    print(&text)
 }
 
 /// Writes a message to the standard error, as one line; nobody can hear that this failed.

@@ -5,11 +5,12 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use perceptile_cluster::{Ends, Worker};
 
-use super::filter::{Border, Filter, FilterScratch, Rows, add};
+use super::filter::{Border, Filter, FilterScratch};
 use super::footprint::Footprint;
 use super::mixture::{MAX_CANDIDATES, MAX_SUBSET_RENDERS, Mixture};
 use super::options::{Norm, SelectOptions};
-use super::score::{Method, Scored, SelectScores, Sums, strip_sums};
+use super::score::{Scored, SelectScores, Sums, strip_sums};
+use super::sources::{FilterSet, Method, Shares, Weights};
 use super::state::SelectState;
 use super::strips::COLOURS;
 use super::visit::{Magnitudes, Squares, Strip};
@@ -131,139 +132,6 @@ struct Kept {
     /// The first frame that they are of.
     first: usize,
     choices: Vec<u8>,
-}
-
-/// The filters, ready.
-pub(super) struct FilterSet {
-    /// g_s * g_t.
-    pub eye: Filter,
-    /// g_s * g_t * g_a, with temporal anti-aliasing.
-    pub render: Option<Filter>,
-    /// The squares of what renders are seen through.
-    squares: Filter,
-}
-
-/// What all jobs of a round read.
-pub(super) struct Shares<'a> {
-    pub plan: &'a WindowPlan,
-    pub filters: &'a FilterSet,
-    pub weights: &'a [f32],
-    norm: Norm,
-    guide: &'a [f32],
-    renders: &'a [f32],
-    current: &'a [f32],
-}
-
-/// The reference, which stands still before its first frame and behind its last one.
-struct Guide<'a> {
-    plan: &'a WindowPlan,
-    guide: &'a [f32],
-    channel: usize,
-}
-
-impl Rows for Guide<'_> {
-    fn add(&self, frame: i64, row: usize, scale: f32, out: &mut [f32]) {
-        let frame = frame.clamp(0, self.plan.shape.frames() as i64 - 1) as usize;
-        let row = self.plan.picture_rows(frame, self.channel, row..row + 1);
-        add(&self.guide[row], scale, out);
-    }
-}
-
-/// Errors of a method, which has none outside of the animation.
-pub(super) struct Errors<'a> {
-    shares: &'a Shares<'a>,
-    method: Method,
-    channel: usize,
-}
-
-impl Rows for Errors<'_> {
-    fn add(&self, frame: i64, row: usize, scale: f32, out: &mut [f32]) {
-        let Shares { plan, guide, renders, current, .. } = *self.shares;
-        if !(0..plan.shape.frames() as i64).contains(&frame) {
-            return;
-        }
-        let (frame, rows) = (frame as usize, row..row + 1);
-        let place = plan.picture_rows(frame, self.channel, rows.clone());
-        let guide = &guide[place.clone()];
-        let render = |k| &renders[plan.render_rows(frame, k, self.channel, rows.clone())];
-        let mut difference = |picture: &[f32]| {
-            for ((out, &value), &guide) in out.iter_mut().zip(picture).zip(guide) {
-                *out += scale * (value - guide);
-            }
-        };
-        match self.method {
-            Method::Selection => difference(&current[place]),
-            Method::Render(k) => difference(render(k)),
-            Method::Mean => {
-                let share = scale / plan.renders as f32;
-                for k in 0..plan.renders {
-                    for ((out, &value), &guide) in out.iter_mut().zip(render(k)).zip(guide) {
-                        *out += share * (value - guide);
-                    }
-                }
-            }
-        }
-    }
-}
-
-impl<'a> Shares<'a> {
-    pub fn errors(&'a self, method: Method, channel: usize) -> Errors<'a> {
-        Errors { shares: self, method, channel }
-    }
-
-    fn guide(&self, channel: usize) -> Guide<'a> {
-        Guide { plan: self.plan, guide: self.guide, channel }
-    }
-
-    /// w² of what is kept.
-    pub fn squared_weight(&self, weight: f32) -> f64 {
-        match self.norm {
-            Norm::L1 => f64::from(weight) * f64::from(weight),
-            Norm::L2 => weight.into(),
-        }
-    }
-
-    /// What temporal anti-aliasing does to the reference: part of the error of every render.
-    pub fn shift(
-        &self,
-        frame: usize,
-        channel: usize,
-        within: &(Range<usize>, usize),
-        scratch: &mut FilterScratch,
-        out: &mut [f32],
-    ) {
-        let Some(render) = &self.filters.render else {
-            out.fill(0.0);
-            return;
-        };
-        let (guide, frame) = (self.guide(channel), frame as i64);
-        let mut seen = vec![0.0; out.len()];
-        self.filters.eye.rows(&guide, frame, within.clone(), Border::Same, scratch, &mut seen);
-        render.rows(&guide, frame, within.clone(), Border::Same, scratch, out);
-        for (out, seen) in out.iter_mut().zip(seen) {
-            *out -= seen;
-        }
-    }
-}
-
-/// The sums of squares of the curvature: 0 beyond the animation.
-struct Weights<'a> {
-    plan: &'a WindowPlan,
-    weights: &'a [f32],
-    channel: usize,
-    /// Frames whose weights are there.
-    frames: Range<i64>,
-}
-
-impl Rows for Weights<'_> {
-    fn add(&self, frame: i64, row: usize, scale: f32, out: &mut [f32]) {
-        if self.frames.contains(&frame) {
-            let [left, top] = self.plan.corner;
-            let row = row + top;
-            let row = self.plan.seen_rows(frame as usize, self.channel, row..row + 1);
-            add(&self.weights[row][left..][..out.len()], scale, out);
-        }
-    }
 }
 
 impl Selection {
@@ -613,7 +481,7 @@ impl Selection {
             let at = frame as i64;
             for (c, (residual, weights)) in residual.pieces().zip(weights.pieces()).enumerate() {
                 filters.eye.rows(
-                    &shares.guide(c),
+                    &shares.reference(c),
                     at,
                     within.clone(),
                     Border::Same,

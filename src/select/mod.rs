@@ -29,6 +29,7 @@ mod footprint;
 mod mixture;
 mod options;
 mod score;
+mod sources;
 mod state;
 mod strips;
 #[cfg(test)]

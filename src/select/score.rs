@@ -5,24 +5,9 @@ use std::ops::Range;
 use serde::{Deserialize, Serialize};
 
 use super::AnimationShape;
-use super::engine::{Errors, Shares};
 use super::filter::{Border, Filter, FilterScratch};
+use super::sources::{Errors, Method, Shares};
 use super::window::WindowPlan;
-
-/// What is scored: the selection, the mean of all renders, and each render.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Method {
-    Selection,
-    Mean,
-    Render(usize),
-}
-
-impl Method {
-    /// All of them.
-    pub fn all(renders: usize) -> impl Iterator<Item = Self> {
-        [Self::Selection, Self::Mean].into_iter().chain((0..renders).map(Self::Render))
-    }
-}
 
 /// Which methods are scored: renders as soon as the frames around are there, so that they need not stay
 /// in memory until the selection is done.

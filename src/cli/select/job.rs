@@ -64,13 +64,22 @@ impl Job<'_> {
         Ok(memory::check_bytes(self.foreseen()?.0)?)
     }
 
+    /// What is about to be done.
+    ///
+    /// # Errors
+    /// Options out of range.
+    pub fn intent(&self, outputs: &Outputs) -> Result<String, Failure> {
+        let needed = self.foreseen()?;
+        Ok(summary::intent(self.inputs, &self.options, self.threads, needed, outputs))
+    }
+
     /// Does it, and says what came out.
     ///
     /// # Errors
     /// Whatever keeps it from being done.
     pub fn run(&self, args: &SelectArgs, outputs: Outputs) -> Result<ExitCode, Failure> {
         self.check_memory()?;
-        let intent = summary::intent(self, &outputs)?;
+        let intent = self.intent(&outputs)?;
         let pool = execution::pool(self.threads)?;
         pool.install(|| {
             let (renders, shape) = (self.inputs.renders(), self.inputs.shape()?);
@@ -161,7 +170,13 @@ impl Job<'_> {
             }
             progress.clear();
             seconds.all = start.elapsed().as_secs_f64();
-            Ok(Some(summary::Report::new(self, args, &engines, seconds, claimed.outputs())))
+            Ok(Some(summary::Report::new(
+                (self.inputs, &self.options),
+                args,
+                &engines,
+                seconds,
+                claimed.outputs(),
+            )))
         })
     }
 

@@ -1,14 +1,13 @@
 //! What a selection says before it begins, and its scores.
 
 use perceptile::metric::figure;
-use perceptile::select::{MethodScores, Norm, SelectScores, Selection};
+use perceptile::select::{MethodScores, Norm, SelectOptions, SelectScores, Selection};
 use serde::Serialize;
 
 use super::SelectArgs;
-use super::job::Job;
+use super::inputs::Inputs;
 use super::outputs::Outputs;
 use crate::cli::duration::in_words;
-use crate::cli::exit::Failure;
 
 /// Where the time went.
 #[derive(Debug, Clone, Copy, Default, Serialize)]
@@ -55,60 +54,61 @@ pub struct Report {
     pixels_per_second: f64,
 }
 
-/// What is about to be done.
-///
-/// # Errors
-/// Options out of range.
-pub fn intent(job: &Job<'_>, outputs: &Outputs) -> Result<String, Failure> {
-    let [width, height] = job.inputs.guide.size();
-    let frames = job.inputs.guide.frames();
-    let what = match job.inputs.display {
+/// What is about to be done, in so many bytes of memory and frames of a window.
+pub fn intent(
+    inputs: &Inputs,
+    options: &SelectOptions,
+    threads: usize,
+    (bytes, window): (u64, usize),
+    outputs: &Outputs,
+) -> String {
+    let [width, height] = inputs.guide.size();
+    let frames = inputs.guide.frames();
+    let what = match inputs.display {
         Some(display) => format!("{} levels", display.levels),
         None => {
-            let (renders, subsets) = job.inputs.renders();
+            let (renders, subsets) = inputs.renders();
             let candidates = if subsets { (1_usize << renders) - 1 } else { renders };
             let means =
                 if subsets { format!(", means of {renders} renders") } else { String::new() };
             format!("{candidates} candidate{}{means}", if candidates == 1 { "" } else { "s" })
         }
     };
-    let (bytes, window) = job.foreseen()?;
-    Ok(format!(
+    format!(
         "{width}x{height}, {frames} frame{}: {what}, {} sweeps in {}, on {} thread{}\n\
          window     {window} frames, about {} of memory\n\
          result     {}\n",
         if frames == 1 { "" } else { "s" },
-        job.options.sweeps,
-        match job.options.norm {
+        options.sweeps,
+        match options.norm {
             Norm::L1 => "L1",
             Norm::L2 => "L2",
         },
-        job.threads,
-        if job.threads == 1 { "" } else { "s" },
+        threads,
+        if threads == 1 { "" } else { "s" },
         perceptile::run::memory::size(bytes),
         outputs.result.display(),
-    ))
+    )
 }
 
 impl Report {
     pub fn new(
-        job: &Job<'_>,
+        (inputs, options): (&Inputs, &SelectOptions),
         args: &SelectArgs,
         engines: &[Selection],
         seconds: Seconds,
         outputs: &Outputs,
     ) -> Self {
-        let [width, height] = job.inputs.guide.size();
-        let frames = job.inputs.guide.frames();
-        let visits =
-            (width * height * frames * engines.len()) as f64 * f64::from(job.options.sweeps);
+        let [width, height] = inputs.guide.size();
+        let frames = inputs.guide.frames();
+        let visits = (width * height * frames * engines.len()) as f64 * f64::from(options.sweeps);
         let scores: Vec<SelectScores> = engines.iter().map(Selection::scores).collect();
         let sum = |counts: Vec<Vec<u64>>| -> Vec<u64> {
             (0..counts[0].len()).map(|i| counts.iter().map(|of| of[i]).sum()).collect()
         };
         let chosen = sum(engines.iter().map(|e| e.chosen().map(|(_, n)| n).collect()).collect());
         let changed = sum(engines.iter().map(|e| e.sweeps().map(|(_, n)| n).collect()).collect());
-        let guide_error = if job.inputs.display.is_none() { guide_error(&scores[0]) } else { None };
+        let guide_error = if inputs.display.is_none() { guide_error(&scores[0]) } else { None };
         Self {
             version: env!("CARGO_PKG_VERSION"),
             result: outputs.result.display().to_string(),
@@ -117,10 +117,10 @@ impl Report {
             frames,
             kernel: args.eye().map(|spec| spec.to_string()).unwrap_or_default(),
             taa: args.taa,
-            norm: job.options.norm,
-            against: if job.inputs.is_true { "reference" } else { "guide" },
-            inputs: job.inputs.names.iter().map(|name| name.display().to_string()).collect(),
-            guide_error: guide_error.filter(|_| !job.inputs.is_true),
+            norm: options.norm,
+            against: if inputs.is_true { "reference" } else { "guide" },
+            inputs: inputs.names.iter().map(|name| name.display().to_string()).collect(),
+            guide_error: guide_error.filter(|_| !inputs.is_true),
             chosen: engines[0].chosen().map(|(name, _)| name).zip(chosen).collect(),
             sweeps: engines[0].sweeps().map(|(lambda, _)| lambda).zip(changed).collect(),
             scores,

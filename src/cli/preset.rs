@@ -1,0 +1,22 @@
+//! Presets as users name them, and what each is for.
+
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use perceptile::solver::Preset;
+
+/// Reads the name of a preset.
+pub fn name() -> impl TypedValueParser<Value = Preset> {
+    let names = Preset::ALL.map(|(preset, name)| PossibleValue::new(name).help(purpose(preset)));
+    let preset = |name: String| Preset::ALL.into_iter().find(|&(_, its)| its == name);
+    PossibleValuesParser::new(names).map(move |name| preset(name).expect("one of the names").0)
+}
+
+/// What a preset is for.
+pub fn purpose(preset: Preset) -> &'static str {
+    match preset {
+        Preset::Best => "The best 64x64x16 tile that half a minute of two cores allows",
+        Preset::Quick => "The same tile in seconds",
+        Preset::Paper => "The paper's job: 128x128x30, 10000 steps of 4096 draws",
+        Preset::PaperTaa => "The paper's job for frames accumulated with alpha 0.2",
+        Preset::Salaun => "Spatial blue noise, every frame its own",
+    }
+}
