@@ -5,6 +5,7 @@
 mod candidates;
 mod completions;
 mod config;
+mod display;
 mod duration;
 mod evaluate;
 mod execution;

@@ -1,38 +1,17 @@
 //! What people and programs see of a run while it goes on, and how they end it.
 
-use std::io::{self, IsTerminal};
+use std::io;
 use std::time::{Duration, Instant};
 
-use clap::ValueEnum;
-use indicatif::{ProgressBar, ProgressStyle};
 use perceptile::run::forecast::Forecast;
 use perceptile::run::observer::{Observer, Progress};
 use perceptile::run::signals::Signals;
 use perceptile::solver::{Phase, StopReason};
 use serde::Serialize;
 
+use super::display::{Display, Shown};
 use super::duration::in_words;
 use super::stream::say;
-
-/// Lines for people come no closer than this, unless a tenth of the run is done.
-const SELDOM: Duration = Duration::from_secs(30);
-/// Lines come no closer than this.
-const OFTEN: Duration = Duration::from_secs(1);
-
-/// How progress is shown on the standard error.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum Shown {
-    /// A bar on a terminal, lines elsewhere
-    Auto,
-    /// A bar
-    Bar,
-    /// A line every 30 seconds, or whenever a tenth of the run is done
-    Lines,
-    /// A line of JSON each second: phase, done, of, rate (steps per second), eta (seconds), objective
-    Json,
-    /// Nothing
-    None,
-}
 
 /// Shows progress on the standard error, and stops the run for signals and the clock.
 pub struct Terminal {
@@ -43,20 +22,6 @@ pub struct Terminal {
     phase: Phase,
     /// When the phase was first heard of, and its steps that were done then.
     since: (Instant, u32),
-}
-
-#[derive(Clone)]
-enum Display {
-    Bar(ProgressBar),
-    Lines {
-        last: Instant,
-        /// Share of the run that the last line told of.
-        share: f64,
-    },
-    Json {
-        last: Option<Instant>,
-    },
-    Nothing,
 }
 
 /// A line for programs.
@@ -79,14 +44,8 @@ impl Terminal {
     /// What the system reports.
     pub fn open(shown: Shown, is_first: bool) -> io::Result<Self> {
         let now = Instant::now();
-        let display = match shown {
-            _ if !is_first => Display::Nothing,
-            Shown::Auto if io::stderr().is_terminal() => Display::Bar(progress_bar()),
-            Shown::Bar => Display::Bar(progress_bar()),
-            Shown::Auto | Shown::Lines => Display::Lines { last: now, share: 0.0 },
-            Shown::Json => Display::Json { last: None },
-            Shown::None => Display::Nothing,
-        };
+        let shown = if is_first { shown } else { Shown::None };
+        let display = Display::new(shown, "steps");
         let shown = display.clone();
         let signals = Signals::install(move |_| {
             if is_first {
@@ -112,7 +71,7 @@ impl Terminal {
 
     /// Says what is about to begin, to people.
     pub fn begin(&mut self, words: &str, forecast: Option<Forecast>) {
-        if matches!(self.display, Display::Bar(_) | Display::Lines { .. }) {
+        if self.display.is_for_people() {
             say(words);
         }
         self.forecast = forecast;
@@ -120,9 +79,7 @@ impl Terminal {
 
     /// Takes the bar away.
     pub fn clear(&self) {
-        if let Display::Bar(bar) = &self.display {
-            bar.finish_and_clear();
-        }
+        self.display.clear();
     }
 
     /// The exit code for the signal that has arrived, if one has.
@@ -138,17 +95,6 @@ impl Terminal {
         let left = f64::from(progress.of.saturating_sub(progress.done)) / rate;
         let after = self.forecast.as_ref().map(|forecast| forecast.after(progress.phase));
         (rate, after.map(|after| left + after).filter(|eta| eta.is_finite()))
-    }
-}
-
-impl Display {
-    /// Something out of the ordinary, in words.
-    fn report(&self, message: &str) {
-        match self {
-            Self::Bar(bar) => bar.suspend(|| say(message)),
-            Self::Json { .. } => say(serde_json::json!({ "message": message })),
-            Self::Lines { .. } | Self::Nothing => say(message),
-        }
     }
 }
 
@@ -179,7 +125,7 @@ impl Observer for Terminal {
                 bar.set_message(words.join(", "));
                 bar.set_position(done.into());
             }
-            Display::Lines { last, share } => {
+            Display::Lines { share, .. } => {
                 let done_of = f64::from(done) / f64::from(of.max(1));
                 let now = match &self.forecast {
                     Some(forecast) => 1.0 - eta.unwrap_or(0.0) / forecast.total().max(1e-9),
@@ -188,24 +134,16 @@ impl Observer for Terminal {
                 if begins && self.forecast.is_none() {
                     *share = 0.0;
                 }
-                let passed = last.elapsed();
-                if begins || passed < OFTEN || (passed < SELDOM && now < *share + 0.1) {
+                if begins || !self.display.is_line_due(now) {
                     return;
                 }
-                (*last, *share) = (Instant::now(), now);
                 let left = eta.map(|eta| format!(", {} left", in_words(eta))).unwrap_or_default();
                 let percent = 100.0 * done_of;
                 say(format_args!("{}: {done} of {of} steps ({percent:.0} %){left}", phase.name()));
             }
-            Display::Json { last } => {
-                if begins || last.is_some_and(|last| last.elapsed() < OFTEN) {
-                    return;
-                }
-                *last = Some(Instant::now());
-                let line = Line { phase, done, of, rate, eta, objective };
-                if let Ok(line) = serde_json::to_string(&line) {
-                    say(line);
-                }
+            Display::Json { .. } if begins => (),
+            Display::Json { .. } => {
+                self.display.line(&Line { phase, done, of, rate, eta, objective });
             }
         }
     }
@@ -223,11 +161,4 @@ impl Observer for Terminal {
             None
         }
     }
-}
-
-/// A bar on the standard error; without a terminal there, nothing.
-fn progress_bar() -> ProgressBar {
-    let template = "{prefix:8} {bar:32} {pos}/{len} steps  {msg}";
-    ProgressBar::no_length()
-        .with_style(ProgressStyle::with_template(template).expect("a valid template"))
 }

@@ -25,10 +25,11 @@ use perceptile_cluster::communicator::Communicator;
 use perceptile_cluster::faults::FaultPlan;
 use rayon::ThreadPool;
 
+use super::display::Shown;
 use super::execution::{self, ExecutionArgs};
 use super::exit::{Failure, Misuse};
 use super::prepared::{Files, Invocation, PreparedRun};
-use super::progress::{Shown, Terminal};
+use super::progress::Terminal;
 use super::stream::print;
 use super::{duration, ranks, summary};
 

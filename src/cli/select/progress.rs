@@ -1,20 +1,14 @@
 //! What people and programs see of a selection while it goes on, and how they end it.
 
-use std::io::{self, IsTerminal};
-use std::time::{Duration, Instant};
+use std::io;
+use std::time::Instant;
 
-use indicatif::{ProgressBar, ProgressStyle};
 use perceptile::run::signals::Signals;
 use serde::Serialize;
 
+use crate::cli::display::{Display, Shown};
 use crate::cli::duration::in_words;
-use crate::cli::progress::Shown;
 use crate::cli::stream::say;
-
-/// Lines for people come no closer than this, unless a tenth is done.
-const SELDOM: Duration = Duration::from_secs(30);
-/// Lines come no closer than this.
-const OFTEN: Duration = Duration::from_secs(1);
 
 /// Shows which frames are done.
 pub struct Progress {
@@ -23,13 +17,6 @@ pub struct Progress {
     frames: usize,
     /// When it began, and with how many frames.
     since: (Instant, usize),
-}
-
-enum Display {
-    Bar(ProgressBar),
-    Lines { last: Instant, share: f64 },
-    Json { last: Option<Instant> },
-    Nothing,
 }
 
 /// A line for programs.
@@ -50,27 +37,16 @@ impl Progress {
     /// # Errors
     /// What the system reports.
     pub fn open(shown: Shown, frames: usize) -> io::Result<Self> {
-        let now = Instant::now();
-        let bar = || {
-            let style = ProgressStyle::with_template("select   {bar:32} {pos}/{len} frames  {msg}");
-            ProgressBar::new(frames as u64).with_style(style.expect("a valid template"))
-        };
-        let display = match shown {
-            Shown::Auto if io::stderr().is_terminal() => Display::Bar(bar()),
-            Shown::Bar => Display::Bar(bar()),
-            Shown::Auto | Shown::Lines => Display::Lines { last: now, share: 0.0 },
-            Shown::Json => Display::Json { last: None },
-            Shown::None => Display::Nothing,
-        };
-        let json = matches!(display, Display::Json { .. });
+        let display = Display::new(shown, "frames");
+        if let Display::Bar(bar) = &display {
+            bar.set_length(frames as u64);
+            bar.set_prefix("select");
+        }
+        let stopping = display.clone();
         let signals = Signals::install(move |_| {
-            let words = "stopping after this frame; the same command goes on";
-            match json {
-                true => say(serde_json::json!({ "message": words })),
-                false => say(words),
-            }
+            stopping.report("stopping after this frame; the same command goes on");
         })?;
-        Ok(Self { display, signals, frames, since: (now, 0) })
+        Ok(Self { display, signals, frames, since: (Instant::now(), 0) })
     }
 
     /// The exit code for the signal that has arrived, if one has.
@@ -81,7 +57,7 @@ impl Progress {
     /// Says what is about to begin, behind so many frames, to people.
     pub fn begin(&mut self, words: &str, done: usize) {
         self.since = (Instant::now(), done);
-        if matches!(self.display, Display::Bar(_) | Display::Lines { .. }) {
+        if self.display.is_for_people() {
             say(words);
             if done > 0 {
                 say(format_args!("going on behind frame {done}"));
@@ -103,31 +79,20 @@ impl Progress {
                 bar.set_message(format!("{rate:.1}/s{left}"));
                 bar.set_position(done as u64);
             }
-            Display::Lines { last, share } => {
-                let (now, passed) = (done as f64 / of as f64, last.elapsed());
-                if passed < OFTEN || (passed < SELDOM && now < *share + 0.1) {
-                    return;
+            Display::Lines { .. } => {
+                let share = done as f64 / of as f64;
+                if self.display.is_line_due(share) {
+                    say(format_args!("{done} of {of} frames ({:.0} %){left}", 100.0 * share));
                 }
-                (*last, *share) = (Instant::now(), now);
-                say(format_args!("{done} of {of} frames ({:.0} %){left}", 100.0 * now));
             }
-            Display::Json { last } => {
-                if last.is_some_and(|last| last.elapsed() < OFTEN) {
-                    return;
-                }
-                *last = Some(Instant::now());
-                let line = Line { phase: "select", done, of, rate, eta };
-                if let Ok(line) = serde_json::to_string(&line) {
-                    say(line);
-                }
+            Display::Json { .. } => {
+                self.display.line(&Line { phase: "select", done, of, rate, eta });
             }
         }
     }
 
     /// Takes the bar away.
     pub fn clear(&self) {
-        if let Display::Bar(bar) = &self.display {
-            bar.finish_and_clear();
-        }
+        self.display.clear();
     }
 }
