@@ -10,7 +10,7 @@ use super::SelectError;
 pub enum Norm {
     /// Σ w·|r|, the paper's.
     L1,
-    /// Σ w²·r², what pRelMSE measures; five times faster.
+    /// Σ w²·r², what pRelMSE measures; faster.
     #[default]
     L2,
 }
