@@ -126,6 +126,11 @@ fn stem_and_frame(path: &Path) -> String {
     part.unwrap_or(&stem).to_owned()
 }
 
+/// Whether the name of a file says which frame it is.
+pub(super) fn names_frame(path: &Path) -> bool {
+    is_slice(&stem_and_frame(path))
+}
+
 /// Whether a name without sample and dimension says its frame.
 fn is_slice(base: &str) -> bool {
     without_number(base, "_f").is_some()

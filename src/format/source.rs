@@ -13,7 +13,7 @@ use super::npy::{self, NpyError};
 use super::picture::PREVIEW;
 use super::png::{self, Channel, Channels, PixelFormat, PngError, Raster};
 use super::series::{Series, SeriesError, SeriesLayout};
-use super::slices::is_png;
+use super::slices::{is_png, names_frame};
 use crate::tile::{ShapeError, Tile, TileShape};
 
 /// Most coordinates of a tile made of PNG files, which compress too well for the size of the
@@ -294,14 +294,12 @@ impl TileSource {
                 names.push(name.to_string_lossy().into_owned());
             }
         }
-        // A lone picture that is higher than wide and has no number of a frame is a strip.
-        if let [name] = names.as_slice()
-            && !name.contains("_f0")
-        {
+        // A lone picture of several squares, whose name says no frame, is a strip.
+        if let [name] = names.as_slice() {
             let path = self.path.join(name);
             let (file, bytes) = open(&path)?;
-            let raster = decode(&path, file, bytes)?;
-            if raster.height > raster.width {
+            let Raster { width, height, .. } = decode(&path, file, bytes)?;
+            if height > width && height.is_multiple_of(width) && !names_frame(&path) {
                 return Self { path, ..self.clone() }.read();
             }
         }
