@@ -15,10 +15,10 @@ use perceptile::kernel::{Factor, KernelSpec, Viewing};
 use perceptile::select::{Continuation, Filters, Norm, SelectOptions};
 use perceptile::tile::TileShape;
 
+use super::display::Shown;
 use super::execution::ExecutionArgs;
 use super::exit::{Failure, Misuse};
 use super::number::whole;
-use super::progress::Shown;
 use inputs::Inputs;
 use outputs::Outputs;
 

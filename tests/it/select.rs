@@ -146,7 +146,13 @@ fn arrays_become_an_array_with_scores_beside_it() {
         names_in(folder.path()),
         ["a.npy", "b.npy", "best.json", "best.npy", "c.npy", "reference.npy"]
     );
-    // What is there stays, unless it is to be replaced.
+    // What is there stays, unless it is to be replaced; also what lies where the array grows.
+    let part = folder.path().join("other.npy.part");
+    fs::write(&part, "mine").unwrap();
+    let other = part.with_extension("");
+    let line = arguments(folder.path(), NPY, &["--out", other.to_str().unwrap()]);
+    assert_eq!(perceptile().args(line).output().unwrap().status.code(), Some(3));
+    assert_eq!(fs::read(&part).unwrap(), b"mine");
     let again = perceptile().args(arguments(folder.path(), NPY, &further)).output().unwrap();
     assert_eq!(again.status.code(), Some(3));
     let further = [&further[..], &["--force", "--threads", "1", "--simd", "plain"]].concat();

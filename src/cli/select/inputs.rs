@@ -62,6 +62,12 @@ impl Display {
         }
         level
     }
+
+    /// The level that has this light.
+    pub fn level(self, light: f32) -> u32 {
+        let below = self.below(light);
+        if self.light(below + 1) <= light { below + 1 } else { below }
+    }
 }
 
 impl Inputs {
@@ -165,10 +171,12 @@ mod tests {
                     let below = display.below(light);
                     assert!(display.light(below) <= light && light <= display.light(below + 1));
                 }
-                // A level itself needs no dithering.
+                // A level itself needs no dithering, and is known by its light.
                 for level in (0..levels - 1).step_by(1.max(levels as usize / 100)) {
                     assert_eq!(display.below(display.light(level)), level);
+                    assert_eq!(display.level(display.light(level)), level);
                 }
+                assert_eq!(display.level(1.0), levels - 1);
                 assert_eq!((display.below(-1.0), display.below(9.0)), (0, levels - 2));
             }
         }

@@ -6,7 +6,7 @@ use std::io::{self, BufWriter, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use perceptile::array;
-use perceptile::format::animation::{numbered, path_of};
+use perceptile::format::animation::{Animation, numbered, path_of};
 use perceptile::format::claim::Claim;
 use perceptile::format::exr::{self, ExrError, ExrTemplate};
 use perceptile::format::png::{self, Depth, PixelFormat, Raster};
@@ -78,18 +78,10 @@ impl Outputs {
     /// A name that does not go with the form of the result.
     pub fn new(args: &SelectArgs, inputs: &Inputs) -> Result<Self, Failure> {
         let template = inputs.candidates.first().and_then(|animation| animation.template());
-        let (form, default, extension) = match (inputs.display, template) {
-            (Some(display), _) => (Form::Png { display }, "dithered.####.png", "png"),
-            (None, Some((template, _))) => {
-                let carried = !inputs.subsets
-                    && inputs
-                        .candidates
-                        .iter()
-                        .all(|other| other.template().is_some_and(|(other, _)| other.has_others()));
-                let template = Box::new(template.clone());
-                (Form::Exr { template, carried }, "selected.####.exr", "exr")
-            }
-            (None, None) => (Form::Npy { partial: PathBuf::new() }, "selected.npy", "npy"),
+        let (default, extension) = match (inputs.display, template) {
+            (Some(_), _) => ("dithered.####.png", "png"),
+            (None, Some(_)) => ("selected.####.exr", "exr"),
+            (None, None) => ("selected.npy", "npy"),
         };
         let result = args.out.clone().unwrap_or_else(|| default.into());
         let found = result.extension().and_then(|extension| extension.to_str());
@@ -111,9 +103,16 @@ impl Outputs {
             }
             None => result.clone(),
         };
-        let form = match form {
-            Form::Npy { .. } => Form::Npy { partial: plain.with_extension("npy.part") },
-            form => form,
+        let has_others = |animation: &Animation| {
+            animation.template().is_some_and(|(template, _)| template.has_others())
+        };
+        let form = match (inputs.display, template) {
+            (Some(display), _) => Form::Png { display },
+            (None, Some((template, _))) => Form::Exr {
+                template: Box::new(template.clone()),
+                carried: !inputs.subsets && inputs.candidates.iter().all(has_others),
+            },
+            (None, None) => Form::Npy { partial: plain.with_extension("npy.part") },
         };
         let [width, height] = inputs.guide.size();
         let shape = [frames, height, width, inputs.guide.channels()];
@@ -143,14 +142,12 @@ impl Outputs {
         let claim = Claim::new(&self.scores, Existing::Replace)?;
         let kept = self.kept(&digest)?;
         if kept.is_none() {
-            let frames = match self.form {
-                Form::Npy { .. } => 0..0,
-                _ => 0..self.shape[0],
-            };
-            let files = frames.map(|frame| self.frame(frame));
-            let whole = [self.scores.clone()].into_iter();
-            let array = matches!(self.form, Form::Npy { .. }).then(|| self.result.clone());
-            write::probe(whole.chain(array).chain(files), self.existing)?;
+            let mut outputs = vec![self.scores.clone()];
+            match &self.form {
+                Form::Npy { partial } => outputs.extend([self.result.clone(), partial.clone()]),
+                _ => outputs.extend((0..self.shape[0]).map(|frame| self.frame(frame))),
+            }
+            write::probe(outputs, self.existing)?;
         }
         let frames = if kept.is_some() { Existing::Replace } else { self.existing };
         let mut claimed = Claimed {
@@ -235,6 +232,8 @@ impl Claimed {
     ) -> Result<(), Failure> {
         let [_, height, width, channels] = self.outputs.shape;
         let (path, pixels) = (self.outputs.frame(frame), width * height);
+        let what = format!("cannot write {}", path.display());
+        let refused = Failure::refused::<ExrError>(&what);
         let bytes = match &self.outputs.form {
             Form::Npy { partial } => {
                 let file = self.array.as_mut().expect("open");
@@ -256,17 +255,12 @@ impl Claimed {
             Form::Exr { carried: true, .. } => {
                 let files: Vec<&Path> =
                     inputs.candidates.iter().map(|animation| animation.path(frame)).collect();
-                exr::encode_choices(&files, &choices[0])
+                exr::encode_choices(&files, &choices[0]).map_err(refused)?
             }
-            Form::Exr { template, .. } => exr::encode(template, &pictures[0]),
-            Form::Png { display } => encode_levels(
-                *display,
-                self.outputs.shape,
-                &choices_of(inputs, *display, frame, choices)?,
-            ),
+            Form::Exr { template, .. } => exr::encode(template, &pictures[0]).map_err(refused)?,
+            Form::Png { display } => encode_levels(*display, self.outputs.shape, pictures)
+                .map_err(Failure::refused(&what))?,
         };
-        let what = format!("cannot write {}", path.display());
-        let bytes = bytes.map_err(Failure::refused(&what))?;
         write::write(&path, self.frames, |out| out.write_all(&bytes))?;
         self.has_frames = true;
         Ok(())
@@ -318,37 +312,22 @@ impl Claimed {
     }
 }
 
-/// The levels of every channel that were chosen.
-fn choices_of(
-    inputs: &Inputs,
-    display: Display,
-    frame: usize,
-    choices: &[Vec<u8>],
-) -> Result<Vec<Vec<u32>>, Failure> {
-    let guide = inputs.guide.read(frame)?;
-    let planes = guide.chunks_exact(choices[0].len());
-    let level = |(&light, &choice): (&f32, &u8)| display.below(light) + u32::from(choice);
-    Ok(planes
-        .zip(choices)
-        .map(|(plane, choice)| plane.iter().zip(choice).map(level).collect())
-        .collect())
-}
-
-/// The bytes of a PNG whose levels fill the range of its depth.
+/// The bytes of a PNG of light that a display has, a picture for each channel: levels fill the range of
+/// its depth.
 fn encode_levels(
     display: Display,
     [_, height, width, channels]: [usize; 4],
-    levels: &[Vec<u32>],
-) -> Result<Vec<u8>, ExrError> {
+    pictures: &[Vec<f32>],
+) -> io::Result<Vec<u8>> {
     let depth = if display.levels <= 256 { Depth::Eight } else { Depth::Sixteen };
     let (most, steps) = (u64::from(depth.levels() - 1), u64::from(display.levels - 1));
-    let value = |level: u32| ((u64::from(level) * most * 2 + steps) / (2 * steps)) as u16;
-    let values = (0..width * height)
-        .flat_map(|pixel| levels.iter().map(move |plane| value(plane[pixel])))
+    let value =
+        |light: f32| ((u64::from(display.level(light)) * most * 2 + steps) / (2 * steps)) as u16;
+    let levels = (0..width * height)
+        .flat_map(|pixel| pictures.iter().map(move |picture| value(picture[pixel])))
         .collect();
     let layout = if channels == 1 { PixelFormat::Gray } else { PixelFormat::Rgb };
-    let raster = Raster { width, height, layout, depth, levels: values };
     let mut bytes = Vec::new();
-    png::encode(&raster, &mut bytes).expect("memory takes all");
+    png::encode(&Raster { width, height, layout, depth, levels }, &mut bytes)?;
     Ok(bytes)
 }
