@@ -44,6 +44,8 @@ const VIEWER_SCRIPTS: [&str; 10] = [
 struct ViewerData<'a> {
     fps: f64,
     views: &'a [View],
+    /// Which of them it begins with.
+    first: usize,
     tiles: Vec<ViewerTile<'a>>,
 }
 
@@ -194,7 +196,12 @@ fn viewer(options: &ReportOptions, views: &Views, cards: &[Card]) -> Markup {
             whole: part.whole,
         }
     });
-    let content = ViewerData { fps: options.fps, views: &views.shown, tiles: tiles.collect() };
+    let content = ViewerData {
+        fps: options.fps,
+        views: &views.shown,
+        first: views.first(&options.kernel),
+        tiles: tiles.collect(),
+    };
     html! {
         h2 { "Error in motion" }
         p {
@@ -251,7 +258,9 @@ fn help() -> Markup {
             h3 { "Bias, histogram, residual" }
             p {
                 "Bias is the error that stays when the whole tile is averaged, relative to as many \
-                 independent samples, over all functions in the same way. The histogram says how evenly the samples fill the square: 1 \
+                 independent samples, over all functions in the same way. After rounding to 8 bits \
+                 it is largest for axis edges: rounding moves such an edge by up to half a level in \
+                 all pixels alike, which no average removes. The histogram says how evenly the samples fill the square: 1 \
                  is an even share in every cell. The residual is what is left in each pixel when all \
                  its frames are averaged. The means of half a period and of a whole period say the \
                  same for the functions."
@@ -267,7 +276,7 @@ fn help() -> Markup {
             p {
                 "A spectrum shows how much of the error is coarse (near the middle) or fine (far \
                  from it); bright is much, mid-gray is white noise. The lines are the kernel’s \
-                 window: inside, it lets error pass, outside, error is blended away. A good tile \
+                 window: error inside the lines is seen; error outside is averaged away. A good tile \
                  is dark inside the window and pays for it outside."
             }
         }

@@ -9,6 +9,9 @@ use crate::kernel::{
 };
 use crate::tile::TileShape;
 
+/// The view of what the eye sees behind temporal anti-aliasing.
+const TAA_AS_PERCEIVED: &str = "TAA, as perceived";
+
 /// One view, for the viewer.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub(super) struct View {
@@ -58,11 +61,11 @@ impl Views {
             average.clone().and_then(|average| room.first(&average.alone(average.frames)?)),
         );
         if without.is_some() {
-            views.add("TAA, as perceived", room.first(kernel));
+            views.add(TAA_AS_PERCEIVED, room.first(kernel));
             return Ok(views);
         }
         views.add(
-            "TAA, as perceived",
+            TAA_AS_PERCEIVED,
             average.and_then(|average| {
                 let (low, high) = perceived.taps.bounds();
                 let side = |low: i32, high: i32| {
@@ -75,6 +78,14 @@ impl Views {
             }),
         );
         Ok(views)
+    }
+
+    /// The view to begin with: the one that the scores of a kernel are of.
+    pub fn first(&self, kernel: &KernelSpec) -> usize {
+        let behind_taa = |view: &View| view.name == TAA_AS_PERCEIVED;
+        let last = kernel.taa().and_then(|_| self.shown.iter().position(behind_taa));
+        let first = || self.shown.iter().position(|view| view.kernel.is_some());
+        last.or_else(first).unwrap_or(0)
     }
 
     fn add(&mut self, name: &'static str, view: Result<(KernelPlanes, String), String>) {
@@ -174,6 +185,7 @@ mod tests {
         assert_eq!(text(1), Some(KERNEL));
         assert_eq!(text(2), Some("ema(0.2) @ 1x1x16"));
         assert_eq!(text(3), Some("gaussian(2.1) * fovvideovdp(60) * ema(0.2) @ 7x7x23"));
+        assert_eq!(all.first(&KERNEL.parse().unwrap()), 1);
         // The average alone: weights fall by 1 − α from frame to frame.
         let average = all.shown[2].kernel.as_ref().unwrap();
         assert_eq!(average.planes.len(), 1);
@@ -197,6 +209,7 @@ mod tests {
         assert_eq!(text(1), Some("gaussian(2.1) * fovvideovdp(120) @ 7x7x35"));
         assert_eq!(text(2), Some("ema(0.1) @ 1x1x34"));
         assert_eq!(text(3), Some(kernel));
+        assert_eq!(all.first(&kernel.parse().unwrap()), 3, "the view that the scores are of");
     }
 
     #[test]

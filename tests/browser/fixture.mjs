@@ -147,6 +147,7 @@ export function writeReport(folder, tiles, scenes = []) {
   const data = {
     fps: 60,
     views: views(),
+    first: 1,
     tiles: tiles.map(({ name, width, height, frames, spp = 1, dims = 2, whole = true }, number) => ({ name, file: `tiles/${number}.js`, width, height, frames, spp, dims, whole })),
   };
   const figures = scenes.map(

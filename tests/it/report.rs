@@ -294,6 +294,19 @@ fn the_viewer_comes_first_and_one_line_says_what_came_of_it() {
 }
 
 #[test]
+fn white_noise_that_repeats_within_the_kernel_is_called_so() {
+    let room = Room::new();
+    room.save("a.npy", shape(2), 1);
+    let row = ">White noise, 6 frames repeated</th>";
+    let longer = "gaussian(1) * ema(0.5) @ 3x3x8";
+    room.succeed(&["report", "long", "a.npy", "--kernel", longer, "--integrands", "2"]);
+    let page = fs::read_to_string(room.at("long/index.html")).unwrap();
+    assert!(page.contains(row) && page.contains("sees more frames than a tile has"));
+    let page = room.report(&["out", "a.npy"]);
+    assert!(!page.contains("frames repeated") && !page.contains("sees more frames"));
+}
+
+#[test]
 fn no_folder_of_this_machine_is_in_a_report() {
     let room = Room::new();
     fs::create_dir(room.at("my tiles")).unwrap();
@@ -422,6 +435,7 @@ fn what_exists_stays_unless_it_is_a_report() {
     room.save("a.npy", shape(2), 1);
     room.report(&["out", "a.npy"]);
     room.refuse(&["out", "a.npy"], 3, &["out exists already", "--force"]);
+    room.refuse(&["a.npy", "a.npy"], 2, &["a.npy, a file", "perceptile report out a.npy"]);
     room.save("b.npy", shape(2), 2);
     room.report(&["out", "b.npy", "--force"]);
     assert_eq!(data(&room.report(&["new", "b.npy"]), "viewer-data")["tiles"][0]["name"], "b");

@@ -16,11 +16,12 @@ pub(super) fn section(cards: &[Card]) -> Markup {
             h2 #spectra { "Error spectra" }
             p {
                 "Mean over the classes of functions that read all dimensions. Brightness is \
-                 amplitude, white noise’s is mid-gray, frequency 0 is in the middle. Above, XY: \
-                 the mean over all frames, with the kernel at temporal frequency 0. Below, XT: the \
-                 mean over all rows of pixels, temporal frequency down, with the kernel at \
-                 vertical frequency 0. Lines: where the kernel lets pass half (solid) and a tenth \
-                 (dashed) of its largest amplitude."
+                 amplitude, white noise’s is mid-gray, frequency 0 is in the middle. Lines: where \
+                 the kernel lets pass half (solid) and a tenth (dashed) of its largest amplitude. \
+                 Above, XY: frequencies across and down, the mean over all frames; the lines are \
+                 for error that stands still. Below, XT: frequencies across, and those of time \
+                 down, the mean over all rows of pixels; the lines are for error that is equal in \
+                 all rows."
             }
             div.pictures.spectra {
                 @for card in cards {

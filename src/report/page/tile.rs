@@ -45,8 +45,8 @@ pub(super) fn article(number: usize, card: &Card) -> Markup {
                     @if let Some(plot) = convergence(card) {
                         h4 { "Convergence" }
                         p.muted {
-                            "What the draws of single steps found before they moved the samples. \
-                             The polish and the uniformity step come after it."
+                            "How far the samples of a draw were from even when a step began; lower \
+                             is better. The polish and the uniformity step come after it."
                         }
                         (plot.markup(&format!("convergence-{number}")))
                     }

@@ -92,7 +92,7 @@
       this.loaded = this.tiles.map(() => 'no');
       this.still = window.matchMedia('(prefers-reduced-motion: reduce)').matches;
       this.mode = 'grid';
-      this.view = Math.max(this.views.findIndex(({ kernel }) => kernel), 0);
+      this.view = data.first;
       this.kind = 'edge';
       this.values = Object.fromEntries(Object.entries(INTEGRANDS).map(([kind, { values }]) => [kind, { ...values }]));
       this.loop = this.tiles[0].frames > 32 ? 1 : this.tiles[0].frames > 16 ? 2 : 4;
