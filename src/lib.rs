@@ -12,12 +12,11 @@
 //! # let folder = tempfile::tempdir()?;
 //! # std::env::set_current_dir(&folder)?;
 //! let run = Optimizer::new(Preset::Quick)
-//!     .kernel("gaussian(2.1) * fovvideovdp(60) @ 7x7x8".parse()?)
 //!     .size(16, 16, 8)
 //!     .steps(50)
 //!     .seed(7)
 //!     .run()?;
-//! println!("{:#?}", run.scores()?);
+//! println!("{}", run.scores()?);
 //! run.tile().save("tile.npy")?;
 //!
 //! let tile = Tile::load("tile.npy")?;

@@ -2,7 +2,7 @@
 
 use perceptile::format::sidecar::Sidecar;
 use perceptile::kernel::{Dropped, KernelClass};
-use perceptile::metric::{Domain, Histogram, Scores, figure, ratio};
+use perceptile::metric::Scores;
 use perceptile::run::driver::Output;
 use perceptile::run::forecast::Forecast;
 use perceptile::run::output::OutputFiles;
@@ -84,7 +84,7 @@ pub fn dropped(class: &KernelClass) -> String {
     let Dropped { total, space, time } = class.dropped;
     let mut text = format!("`{}` leaves out {} of its weight", class.text, percent(total));
     if let (Some(space), Some(time)) = (space, time) {
-        text += &format!(" (space {}, time {})", percent(space), percent(time));
+        text += &format!(" (space alone {}, time alone {})", percent(space), percent(time));
     }
     text
 }
@@ -138,15 +138,7 @@ pub fn describe(
     line(format!("phases      {}", phases.collect::<Vec<String>>().join(", ")));
     if let Some(scores) = scores {
         line("scores      (white noise is 1, lower is better)".into());
-        for class in &scores.classes {
-            let pairs = if class.domain == Domain::Pairs { ", pairs" } else { "" };
-            let name = format!("{}{pairs}", class.class);
-            line(format!("  {name:22} {}", ratio(class.perceived)));
-        }
-        let Histogram { smallest, largest, rms } = scores.histogram;
-        line(format!("  bias·√N                {}", figure(scores.bias)));
-        line(format!("  histogram              {smallest:.2}–{largest:.2} (rms {})", figure(rms)));
-        line(format!("  residual               {}", figure(scores.residual)));
+        scores.to_string().lines().for_each(|score| line(format!("  {score}")));
     }
     line(format!("tile        {}", files.tile.display()));
     line(format!("picture     {}", files.picture.display()));

@@ -8,11 +8,14 @@
 //! set of 256 integrands the default tile's mean of ratios varies by 5.6 % (edge) and 10 % (axis
 //! edge), its ratio of means by 1.8 % and 2.6 %.
 
+use std::fmt;
+
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::accumulation::accumulated_mean_square;
 use super::error::{MOST_INTEGRANDS, ScoreError};
+use super::figure::{figure, ratio};
 use super::integrand::{Class, Domain, Integrand, IntegrandSet, integrand_sets};
 use super::perceived::Perceived;
 use super::uniformity::{Histogram, histogram, residual};
@@ -124,6 +127,21 @@ impl Scores {
     /// The score of one class, if the tile has that domain.
     pub fn class(&self, class: Class, domain: Domain) -> Option<&ClassScore> {
         self.classes.iter().find(|score| score.class == class && score.domain == domain)
+    }
+}
+
+/// A line for each figure, as the command prints them when a run has ended.
+impl fmt::Display for Scores {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for class in &self.classes {
+            let pairs = if class.domain == Domain::Pairs { ", pairs" } else { "" };
+            let name = format!("{}{pairs}", class.class);
+            writeln!(f, "{name:22} {}", ratio(class.perceived))?;
+        }
+        let Histogram { smallest, largest, rms } = self.histogram;
+        writeln!(f, "bias·√N                {}", figure(self.bias))?;
+        writeln!(f, "histogram              {smallest:.2}–{largest:.2} (rms {})", figure(rms))?;
+        write!(f, "residual               {}", figure(self.residual))
     }
 }
 
@@ -283,6 +301,18 @@ mod tests {
         all.extend(score.half_period.map(|r| ("half period", r.mean)));
         all.extend(score.whole_period_perceived.map(|r| ("filtered", r.mean)));
         all
+    }
+
+    #[test]
+    fn shown_scores_have_a_line_for_each_figure() {
+        let shape = TileShape::new(8, 8, 4, 1, 3).unwrap();
+        let tile = Baseline::White.tile(shape, 1);
+        let text = Scores::of(&tile, &kernel(&[1.0]), FEW).unwrap().to_string();
+        let names = ["linear ", "axis edge, pairs ", "bias·√N ", "histogram ", "residual "];
+        for name in names {
+            assert_eq!(text.lines().filter(|line| line.starts_with(name)).count(), 1, "{text}");
+        }
+        assert_eq!(text.lines().count(), 13, "{text}");
     }
 
     #[test]
