@@ -1,7 +1,7 @@
 //! The picture that is written beside a tile, and tells whether the tile is good.
 //!
 //! ```text
-//!  one frame | XT slice | error spectrum | an edge as perceived: white noise | this tile (0.115)
+//!  one frame | XT slice | error spectrum | an edge as perceived: white noise | tile, error 0.115
 //! ```
 //!
 //! Samples of good and bad tiles look alike. So beside them stand the spectrum of the tile's
@@ -160,9 +160,9 @@ impl<'a> Preview<'a> {
         let shape = self.shape;
         let white = self.edge.of_white_noise(shape);
         let score = scores.and_then(|scores| scores.class(Class::Edge, Domain::All));
-        let (of_white, of_tile) = match score {
-            Some(score) => (" (1)".to_owned(), format!(" ({})", figure(score.perceived.mean))),
-            None => (String::new(), String::new()),
+        let [of_white, of_tile] = match score {
+            Some(score) => ["white noise, error 1".to_owned(), tile_label(score.perceived.mean)],
+            None => ["white noise".to_owned(), "this tile".to_owned()],
         };
         let zoom = PANEL / SHOWN;
         let gray = |panel: &Panel| samples(|x, y| panel.at(x / zoom, y / zoom));
@@ -176,8 +176,8 @@ impl<'a> Preview<'a> {
         let label = ["error spectrum".to_owned(), "lines: kernel window".to_owned()];
         panels.push((label, self.spectrum_panel()));
         let perceived = "an edge as perceived:";
-        panels.push(([perceived.to_owned(), format!("white noise{of_white}")], seen(&white)));
-        panels.push(([perceived.to_owned(), format!("this tile{of_tile}")], seen(&self.edge)));
+        panels.push(([perceived.to_owned(), of_white], seen(&white)));
+        panels.push(([perceived.to_owned(), of_tile], seen(&self.edge)));
 
         let top = GAP + 2 * LINE + LINE / 2;
         let mut canvas = Canvas::new(GAP + panels.len() * (PANEL + GAP), top + PANEL + GAP);
@@ -250,6 +250,11 @@ fn frame_label(width: usize, height: usize, frames: usize) -> String {
     } else {
         format!("{across}x{down} of {width}x{height}x{frames}")
     }
+}
+
+/// How much error a tile has on edges.
+fn tile_label(error: f64) -> String {
+    format!("tile, error {}", figure(error))
 }
 
 /// Which frames a slice shows.
@@ -372,7 +377,8 @@ mod tests {
             slice_label(1024),
             "an edge as perceived:".into(),
             "lines: kernel window".into(),
-            format!("this tile ({})", figure(2.345e-8)),
+            "white noise, error 1".into(),
+            tile_label(2.345e-8),
         ];
         for label in labels {
             // Letters are twelve pixels wide.
