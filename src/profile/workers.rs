@@ -117,7 +117,8 @@ impl fmt::Display for WorkersProfile {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { threads, steps, step, synchronisation, workers } = self;
         let count = workers.workers.len();
-        writeln!(f, "{count} workers of {threads} threads, {steps} steps")?;
+        let s = if *threads == 1 { "" } else { "s" };
+        writeln!(f, "{count} workers of {threads} thread{s}, {steps} steps")?;
         writeln!(
             f,
             "  a step takes {:.1} us, one without work {:.1} us",
