@@ -113,15 +113,17 @@ fn prepare(args: &OptimizeArgs, ranks: usize) -> Result<Option<PreparedRun>, Fai
     let folder = args.run_dir.clone().unwrap_or_else(|| args.out.with_extension("run"));
     check_name(&args.out)?;
     let outputs = OutputFiles::of(&args.out);
-    outputs.probe(existing)?;
     check_folder(&outputs, &folder)?;
     if args.dry_run {
-        RunFolder::probe(&folder, existing)?;
         let foresee = || Forecast::of(&plan, args.run.execution.simd());
         let alone = plan.parallelism.ranks == 1;
         let pool = alone.then(|| execution::pool(plan.parallelism.threads)).transpose()?;
         let forecast = pool.map(|pool| pool.install(foresee)).transpose()?;
         print(&describe(&plan, forecast.as_ref()))?;
+        // What is in a run's way does not keep the plan from being known.
+        let stopped = |failure: Failure| failure.explained("the run would stop");
+        outputs.probe(existing).map_err(|error| stopped(error.into()))?;
+        RunFolder::probe(&folder, existing).map_err(|error| stopped(error.into()))?;
         return Ok(None);
     }
     let claims = outputs.claim(existing)?;
