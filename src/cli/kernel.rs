@@ -20,7 +20,7 @@ const LISTED: usize = 20;
 ///
 /// The kernel is written out as SPEC, or follows from --fps, --taa, --sigma and --pixels-per-degree,
 /// as in `optimize`: then it is the mixture that a tile is made with, of 64x64x16 unless --tile says
-/// another size.
+/// another size. Without any of them it is the default tile's.
 ///
 /// Prints, for each class of the kernel, its size, its sums, what truncation dropped and its
 /// largest taps. With --out it draws a picture as well: the taps frame by frame (newest first), the
@@ -36,10 +36,7 @@ pub struct KernelArgs {
     /// or the share PERCENT% to keep (infinite kernels keep 97% by default). Or a mixture of such
     /// products, column and frame, each with its weight: "0.9: gaussian(2.1) * ema(0.2) + 0.1:
     /// column".
-    #[arg(
-        value_name = "SPEC",
-        required_unless_present_any = ["fps", "taa", "sigma", "pixels_per_degree"]
-    )]
+    #[arg(value_name = "SPEC")]
     pub spec: Option<KernelSpec>,
 
     #[command(flatten)]
@@ -179,9 +176,9 @@ fn class_table(class: &ClassReport<'_>, listed: usize, is_mixture: bool) -> Stri
     line(format!("  Σ|g|             {:.6}", class.sum_abs));
     line(format!("  Σg²              {:.6e}", class.sum_squares));
     let Dropped { total, space, time } = class.dropped;
-    let of_box = space
-        .zip(time)
-        .map(|(space, time)| format!("  (space {}, time {})", percent(space), percent(time)));
+    let of_box = space.zip(time).map(|(space, time)| {
+        format!("  (space alone {}, time alone {})", percent(space), percent(time))
+    });
     line(format!("  dropped of Σ|g|  {}{}", percent(total), of_box.unwrap_or_default()));
     line("     dx   dy   dt        weight   Σ|g| so far".into());
     let mut mass = 0.0;

@@ -1,6 +1,6 @@
 //! `perceptile report`: tiles and renders as a page that opens in a browser.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use perceptile::format::write::Existing;
@@ -10,7 +10,7 @@ use perceptile::report::{Report, ReportOptions};
 use perceptile::run::signals::Signals;
 
 use super::candidates::{self, progress};
-use super::exit::Failure;
+use super::exit::{Failure, Misuse};
 use super::integrands::IntegrandsArgs;
 use super::perceived::PerceivedArgs;
 use super::source::SourceArgs;
@@ -69,6 +69,7 @@ pub fn run(args: ReportArgs) -> Result<ExitCode, Failure> {
     let scores = args.integrands.options();
     scores.validate()?;
     args.kernel.check()?;
+    check_name(&args.out, args.force)?;
     let candidates = candidates::read(args.tiles.clone(), &args.source, &[Baseline::White])?;
     let kernel = args.kernel.choose(&args.tiles[0], &candidates)?;
     let options = ReportOptions {
@@ -102,6 +103,19 @@ const EXAMPLES: &str = "\
 Examples:
   perceptile report out tile.npy
   perceptile report out mine.npy FAST.npy stbn-slices --fps 120 --taa 0.1";
+
+/// Checks that the first argument is not a tile, as it is where OUT was forgotten.
+fn check_name(out: &Path, force: bool) -> Result<(), Misuse> {
+    // With --force the folder itself says that it is no report.
+    if !force && out.is_file() && out.extension().is_some_and(|extension| extension == "npy") {
+        let tile = out.display();
+        return Err(Misuse(format!(
+            "OUT, the folder to make, is {tile}, a file: give OUT before the tiles, \
+             as in perceptile report out {tile}"
+        )));
+    }
+    Ok(())
+}
 
 /// Frames per second of the animations.
 fn frame_rate(kernel: &KernelSpec) -> f64 {

@@ -12,7 +12,7 @@ use perceptile::run::output::OutputFiles;
 use perceptile::run::plan::Plan;
 use perceptile_cluster::communicator::Communicator;
 
-use super::exit::Failure;
+use super::exit::{Failure, Misuse};
 use super::prepared::{self, Files, Invocation, PreparedRun};
 use super::run::{RunArgs, check_folder};
 use super::stream::say;
@@ -53,6 +53,7 @@ pub fn run(args: &ResumeArgs, communicator: &Arc<dyn Communicator>) -> Result<Ex
 /// Gets the rest of the run ready.
 fn prepare(args: &ResumeArgs, ranks: usize) -> Result<Option<PreparedRun>, Failure> {
     let parallelism = args.run.parallelism(ranks)?;
+    check_name(&args.folder)?;
     let (checkpointer, resumed) =
         Checkpointer::resume(&args.folder, args.run.checkpoint, parallelism)?;
     let Resumed { plan, start, invocation, damaged } = resumed;
@@ -71,6 +72,16 @@ fn prepare(args: &ResumeArgs, ranks: usize) -> Result<Option<PreparedRun>, Failu
     let claims = outputs.claim(existing)?;
     let files = Files { invocation, outputs, existing, checkpointer, claims };
     Ok(Some(PreparedRun { plan, start, files: Some(files) }))
+}
+
+/// Checks that the path is not that of the tile which the run was to make.
+fn check_name(folder: &Path) -> Result<(), Misuse> {
+    let run = folder.with_extension("run");
+    if folder.is_file() && run != folder {
+        let (file, run) = (folder.display(), run.display());
+        return Err(Misuse(format!("{file} is a file: give the run's folder, such as {run}")));
+    }
+    Ok(())
 }
 
 /// Whether the tile at a path is what this run wrote when it was stopped: its provenance has the

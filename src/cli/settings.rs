@@ -222,6 +222,8 @@ impl Settings {
                 let rule = "leave out --fps, --taa, --sigma and --pixels-per-degree";
                 return Err(Misuse(format!("--kernel says all of the kernel: {rule}")).into());
             }
+            // A number out of its range is named by its flag.
+            self.viewing.kernel(options.shape)?;
             options = options.watched(self.viewing.viewing()?)?;
         }
         let (start, tile) = match self.start.as_deref() {

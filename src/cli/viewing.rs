@@ -65,7 +65,7 @@ impl ViewingArgs {
     /// # Errors
     /// Numbers out of range, and two values for sigma.
     pub fn kernel(&self, shape: TileShape) -> Result<KernelSpec, Misuse> {
-        self.viewing()?.kernel(shape).map_err(refused)
+        self.viewing()?.kernel(shape).map_err(|problem| self.refused(problem))
     }
 
     /// The kernel behind which error is seen.
@@ -73,7 +73,7 @@ impl ViewingArgs {
     /// # Errors
     /// Numbers out of range, and two values for sigma.
     pub fn perceived(&self, shape: TileShape) -> Result<KernelSpec, Misuse> {
-        self.viewing()?.perceived(shape).map_err(refused)
+        self.viewing()?.perceived(shape).map_err(|problem| self.refused(problem))
     }
 
     /// What the flags say, and the paper's where they do not.
@@ -89,8 +89,18 @@ impl ViewingArgs {
         let sigma = sigma.or(pixels_per_degree.map(Viewing::sigma_at)).unwrap_or(default.sigma);
         Ok(Viewing { fps: fps.unwrap_or(default.fps), taa, sigma })
     }
-}
 
-fn refused(problem: SpecProblem) -> Misuse {
-    Misuse(problem.to_string())
+    /// What is wrong with a number, under the name of its flag: nobody typed an alpha.
+    fn refused(&self, mut problem: SpecProblem) -> Misuse {
+        if let SpecProblem::Value { name, .. } | SpecProblem::Reach { name, .. } = &mut problem {
+            *name = match *name {
+                "fps" => "--fps",
+                "alpha" => "--taa",
+                "sigma" if self.pixels_per_degree.is_some() => "sigma by --pixels-per-degree",
+                "sigma" => "--sigma",
+                other => other,
+            };
+        }
+        Misuse(problem.to_string())
+    }
 }

@@ -38,10 +38,15 @@ pub enum SourceError {
         path: PathBuf,
     },
     /// A file of another kind.
-    #[error("cannot read {}: it is neither a .npy file nor a PNG", path.display())]
+    #[error(
+        "cannot read {}: it is neither a .npy file nor a PNG{}",
+        path.display(), instead(tile.as_deref())
+    )]
     Unknown {
         /// The file.
         path: PathBuf,
+        /// The tile that it stands beside, if it has the name of its provenance.
+        tile: Option<PathBuf>,
     },
     /// A `.npy` file that is no tile.
     #[error("cannot read {}: {error}", path.display())]
@@ -216,8 +221,15 @@ impl TileSource {
         } else if start.starts_with(b"\x93NUMPY") {
             self.read_npy(file, bytes)
         } else {
-            Err(SourceError::Unknown { path: self.path.clone() })
+            let is_sidecar = self.path.extension().is_some_and(|it| it == "json");
+            let tile = is_sidecar.then(|| self.tile_beside()).flatten();
+            Err(SourceError::Unknown { path: self.path.clone(), tile })
         }
+    }
+
+    /// The tile to which a picture or a provenance at the path would belong.
+    fn tile_beside(&self) -> Option<PathBuf> {
+        Some(self.path.with_extension("npy")).filter(|tile| tile.is_file())
     }
 
     fn read_npy(&self, file: BufReader<File>, bytes: u64) -> Result<Tile, SourceError> {
@@ -253,7 +265,7 @@ impl TileSource {
 
     fn read_strip(&self, mut file: BufReader<File>, bytes: u64) -> Result<Tile, SourceError> {
         if png::software(&mut file).is_some_and(|software| software == PREVIEW) {
-            let tile = Some(self.path.with_extension("npy")).filter(|tile| tile.is_file());
+            let tile = self.tile_beside();
             return Err(SourceError::Preview { path: self.path.clone(), tile });
         }
         file.rewind().map_err(self.io())?;

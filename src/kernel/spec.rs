@@ -314,7 +314,7 @@ impl Factor {
                 "fps",
                 fps,
                 fps > 4.0 && fps <= 4.0 * f64::from(MAX_LENGTH),
-                "above 4 (slower has less than two taps in a quarter of a second) and at most 65536",
+                "above 4 and at most 65536",
             ),
             Self::Ema { alpha } => {
                 in_range("alpha", alpha, alpha > 0.0 && alpha <= 1.0, "above 0 and at most 1")?;

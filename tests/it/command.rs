@@ -235,7 +235,7 @@ fn wrong_arguments_are_refused() {
     ] {
         folder.fail(&[&["optimize"], args].concat(), 2, words);
     }
-    for args in [&["optimise"][..], &["kernel"], &["kernel", "box(2)", "b"], &["export"]] {
+    for args in [&["optimise"][..], &["kernel", "box(2)", "b"], &["export"]] {
         folder.fail(args, 2, &["Usage"]);
     }
 }
@@ -459,7 +459,7 @@ fn a_frame_rate_and_taa_make_the_kernel() {
     let far = kernel(&[&tile[..], &["--pixels-per-degree", "22.5"]].concat());
     assert!(far.starts_with("0.84: gaussian(1.05) "), "{far}");
     for (more, words) in [
-        (&["--taa", "0"][..], &["alpha is 0", "at most 1"][..]),
+        (&["--taa", "0"][..], &["--taa is 0", "at most 1"][..]),
         (&["--fps", "4"], &["fps is 4"]),
         (&["--sigma", "1", "--pixels-per-degree", "45"], &["leave out --sigma"]),
         (&["--fps", "60", "--kernel", "none"], &["--kernel says all of the kernel"]),
@@ -536,6 +536,13 @@ fn a_dry_run_says_what_there_is_to_do_and_does_nothing() {
         assert!(printed.contains(word), "no {word} in {printed}");
     }
     assert!(folder.names().is_empty());
+    // It also says so where something is in the run's way.
+    folder.write("tile.npy", "");
+    let stopped = folder.run(&["optimize", "--preset", "quick", "--dry-run"]);
+    assert_eq!(stopped.status.code(), Some(3));
+    assert!(text(&stopped.stdout).contains("500 steps"), "{}", text(&stopped.stdout));
+    let error = text(&stopped.stderr);
+    assert!(error.starts_with("error: the run would stop: tile.npy exists already"), "{error}");
 }
 
 /// Starts the long run.
@@ -605,7 +612,7 @@ const ENDS: [(&[&str], i32); 8] = [
     (&["kernel", "box(2)", "--json"], 0),
     (&["optimize", "--dry-run"], 0),
     (&["--help"], 0),
-    (&["kernel"], 2),
+    (&["kernel"], 0),
     (&["kernel", "column"], 2),
     (&["optimize", "--tile", "0x8x8"], 2),
     (&["evaluate", "nowhere.npy"], 1),
@@ -671,7 +678,15 @@ fn kernels_are_shown() {
     let smaller = folder.succeed(&["kernel", "--fps", "120", "--tile", "8x8x6"]);
     assert!(smaller.contains("box(3)"), "{smaller}");
     folder.fail(&["kernel", spec, "--fps", "120"], 2, &["SPEC says all", "leave out --fps"]);
-    folder.fail(&["kernel", "--fps", "3"], 2, &["fps is 3"]);
+    // Alone it shows the default tile's.
+    let report: Value = serde_json::from_str(&folder.succeed(&["kernel", "--json"])).unwrap();
+    let best = "0.84: gaussian(2.1) * fovvideovdp(60) @ 7x7x8 + 0.06: column + 0.1: box(8)";
+    assert_eq!(report["kernel"], best);
+    // Numbers go by the names of their flags.
+    folder.fail(&["kernel", "--fps", "3"], 2, &["error: --fps is 3, but must be above 4"]);
+    folder.fail(&["optimize", "--taa", "10"], 2, &["error: --taa is 10, but must be above 0"]);
+    folder.fail(&["kernel", "--sigma", "0"], 2, &["error: --sigma is 0"]);
+    folder.fail(&["kernel", "--pixels-per-degree=-1"], 2, &["sigma by --pixels-per-degree is"]);
     folder.fail(&["kernel", spec, "--json"], 2, &["--tile"]);
     folder.fail(&["kernel", spec, "--tile", "8x2x8", "--json"], 2, &["3 pixels high", "only 2"]);
 }
@@ -729,6 +744,7 @@ fn tiles_are_evaluated_and_exported() {
         1,
         &["a.png is the picture of a tile, not a tile: give a.npy"],
     );
+    folder.fail(&["evaluate", "a.json"], 1, &["neither a .npy file nor a PNG: give a.npy"]);
     let json = folder.succeed(
         &[&["evaluate", "a.npy", "b.npy", "--json", "--baselines", "white"], &kernel[..]].concat(),
     );

@@ -188,6 +188,8 @@ fn what_is_no_run_folder_of_ours_is_refused() {
 
     symlink(room.at("tile.run"), room.at("link")).unwrap();
     room.run("resume link").failed(1, &["link"]);
+    fs::write(room.at("made.npy"), "").unwrap();
+    room.run("resume made.npy").failed(2, &["made.npy is a file", "such as made.run"]);
     room.run(&format!("{RUN} --out other.npy --run-dir link")).failed(1, &["link"]);
 
     fs::write(room.at("file"), b"precious").unwrap();
