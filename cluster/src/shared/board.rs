@@ -63,6 +63,11 @@ impl BoardPlan {
         .fold(0, usize::saturating_add)
     }
 
+    /// Bytes of a unit that is saved in so many ranges of so many bytes altogether; saturating.
+    pub fn saved(ranges: usize, bytes: usize) -> usize {
+        Journals::saved(ranges, bytes)
+    }
+
     fn all_threads(&self) -> usize {
         self.workers.saturating_mul(self.threads)
     }
@@ -173,6 +178,11 @@ impl Board {
         self.orders.ask_hold();
     }
 
+    /// Waits until something happens that all should see, such as the end of a round, but not long.
+    pub fn watch(&self, event: u32) {
+        self.event.wait(event, 0);
+    }
+
     /// The round after which all workers wait: nobody reads or writes until [`Self::release`].
     pub fn held(&self) -> Option<u64> {
         self.orders.held().filter(|&round| round == self.completed())
@@ -203,7 +213,7 @@ impl Board {
     }
 
     /// A number that changes when there is something new to see.
-    pub(crate) fn event(&self) -> u32 {
+    pub fn event(&self) -> u32 {
         self.event.seen()
     }
 
@@ -305,6 +315,29 @@ mod tests {
         other.job.finish();
         // In the next round nothing of it is left.
         assert_eq!(board.claim(8, 4, 0).unwrap().job.units_done(), 0);
+    }
+
+    #[test]
+    fn a_change_in_place_that_a_dead_worker_left_half_done_is_taken_back() {
+        let (board, mut arena) = board();
+        let mut parts = arena
+            .take(400)
+            .parts::<f32>((0..5).map(|i| std::iter::once(i * 8..i * 8 + 8).collect()).collect());
+        let claim = board.claim(7, 4, 3).unwrap();
+        {
+            let shards = (&mut parts,);
+            let (mut part,) = shards.part(claim.token);
+            let (first, second) = part.piece(0).split_at_mut(4);
+            let unit = claim.job.reversible(|saver| saver.save(first));
+            first.fill(2.0);
+            unit.done();
+            let _unit = claim.job.reversible(|saver| saver.save(second));
+            second[..2].fill(3.0);
+        }
+        assert_eq!(board.release_worker(1), 1);
+        assert_eq!(parts.whole()[32..40], [2.0, 2.0, 2.0, 2.0, 0.0, 0.0, 0.0, 0.0]);
+        let again = board.claim(7, 4, 5).unwrap();
+        assert_eq!(again.job.units_done(), 1);
     }
 
     #[test]

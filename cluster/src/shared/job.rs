@@ -9,7 +9,7 @@ use std::cell::Cell;
 use std::ops::Range;
 use std::sync::atomic::{AtomicU64, Ordering, fence};
 
-use crate::shared::journal::Journals;
+use crate::shared::journal::{Journals, Saver};
 
 /// What a job's word says besides the round.
 const FREE: u64 = 0;
@@ -63,8 +63,8 @@ impl<'a> JobWords<'a> {
         Some(Claim { token: Token { job: index }, job })
     }
 
-    /// Gives the job back if one of these threads has claimed it, after ending the unit that it
-    /// left half done. Returns whether that was so.
+    /// Gives the job back if one of these threads has claimed it, after ending or taking back the
+    /// unit that it left half done. Returns whether that was so.
     ///
     /// # Safety
     /// The threads are dead, and nobody else gives back what they had.
@@ -76,13 +76,13 @@ impl<'a> JobWords<'a> {
         }
         let progress = self.progress.load(Ordering::Acquire);
         if progress >> PROGRESS_SHIFT == round && progress & OPEN != 0 {
-            if let Some(journals) = self.journals {
-                // SAFETY: the thread is dead, and only this call looks after what it had. Nobody
-                // can claim its job before the word below says that it is free.
-                unsafe { journals.put_in_place(thread) };
-            }
-            // The next unit, and not open: one more in the bits above.
-            self.progress.store(progress + 1, Ordering::Release);
+            // SAFETY: the thread is dead, and only this call looks after what it had. Nobody
+            // can claim its job before the word below says that it is free.
+            let put = |journals: &Journals| unsafe { journals.put_in_place(thread) };
+            let reverted = self.journals.is_some_and(put);
+            // This unit again, or the next (one more in the bits above); and not open.
+            let after = if reverted { progress - OPEN } else { progress + 1 };
+            self.progress.store(after, Ordering::Release);
         }
         self.word.store(round << ROUND_SHIFT | FREE << STATE_SHIFT, Ordering::Release);
         true
@@ -161,25 +161,70 @@ impl Job<'_> {
         make: impl FnOnce(&[f32], &mut [f32]),
         midway: impl FnOnce(),
     ) {
-        let JobWords { progress, journals, .. } = self.words;
-        let journals = journals.expect("a board with a journal");
-        assert!(!self.busy.replace(true), "a unit within a unit");
+        let journals = self.words.journals.expect("a board with a journal");
+        self.enter();
         // SAFETY: the journal is this thread's alone: `Job` is not `Sync`, nobody else has its
         // number, and there is no unit within a unit, so what is returned here before is given
         // up. Others read it when the thread is dead.
         let made = unsafe { journals.write(self.thread, unit, make) };
-        // The journal is whole before it is said to be open, and that is said before anything
-        // changes; what a process has written when it dies was written in this order.
-        let units = self.done.get() as u64;
-        assert!(units < UNITS, "{units} units of a job");
-        progress.store(self.round << PROGRESS_SHIFT | units << 1 | OPEN, Ordering::Release);
-        fence(Ordering::Release);
+        self.open();
         let (one, other) = unit.split_at_mut(made.len() / 2);
         one.copy_from_slice(&made[..one.len()]);
         midway();
         other.copy_from_slice(&made[one.len()..]);
-        progress.store(self.round << PROGRESS_SHIFT | (units + 1) << 1, Ordering::Release);
-        self.done.set(units as usize + 1);
+        self.close();
+    }
+
+    /// Begins a unit that is changed in place: `save` names all of it, and if this worker dies
+    /// before [`Reversible::done`], it will be as it was. On a board without a journal, where
+    /// nobody can be lost, nothing is saved.
+    ///
+    /// # Panics
+    /// If the unit is not in shared memory, larger than the journal, or within another, or the job
+    /// has more than 2²³ − 1 units.
+    pub fn reversible(&self, save: impl FnOnce(&mut Saver<'_>)) -> Reversible<'_> {
+        self.enter();
+        if let Some(journals) = self.words.journals {
+            // SAFETY: as in `unit`.
+            save(&mut unsafe { journals.save(self.thread) });
+        }
+        self.open();
+        Reversible(self)
+    }
+
+    fn enter(&self) {
+        assert!(!self.busy.replace(true), "a unit within a unit");
+    }
+
+    /// Says that the next unit is about to be changed.
+    fn open(&self) {
+        // The journal is whole before it is said to be open, and that is said before anything
+        // changes; what a process has written when it dies was written in this order.
+        let units = self.done.get() as u64;
+        assert!(units < UNITS, "{units} units of a job");
+        let open = self.round << PROGRESS_SHIFT | units << 1 | OPEN;
+        self.words.progress.store(open, Ordering::Release);
+        fence(Ordering::Release);
+    }
+
+    /// Says that it is changed.
+    fn close(&self) {
+        let units = self.done.get() + 1;
+        let closed = self.round << PROGRESS_SHIFT | (units as u64) << 1;
+        self.words.progress.store(closed, Ordering::Release);
+        self.done.set(units);
         self.busy.set(false);
+    }
+}
+
+/// A unit that is being changed in place.
+#[derive(Debug)]
+#[must_use = "a unit that is not said to be done is taken back"]
+pub struct Reversible<'a>(&'a Job<'a>);
+
+impl Reversible<'_> {
+    /// Says that it is changed.
+    pub fn done(self) {
+        self.0.close();
     }
 }

@@ -26,7 +26,8 @@ mod section;
 
 pub use board::{Board, BoardPlan};
 pub use counters::Counter;
-pub use job::{Claim, Job, Token};
+pub use job::{Claim, Job, Reversible, Token};
+pub use journal::Saver;
 pub use map::{Map, MapError, MapHeader, allocate};
 pub use parts::{Part, Parts, Shards};
 pub use section::{Arena, Section, Words};
