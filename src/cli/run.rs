@@ -9,8 +9,6 @@ use clap::Args;
 use perceptile::format::numbers::ArraySource;
 use perceptile::format::sidecar::{self, Sidecar};
 use perceptile::metric::{ScoreOptions, Scorer, Scores};
-#[cfg(unix)]
-use perceptile::run::backend::workers::WorkersOptions;
 use perceptile::run::checkpointer::Every;
 use perceptile::run::driver::{self, Output, Parallel};
 use perceptile::run::forecast::Forecast;
@@ -22,7 +20,6 @@ use perceptile::run::summary::ParallelSummary;
 use perceptile::solver::{Options, Parallelism, StopReason};
 use perceptile::tile::Tile;
 use perceptile_cluster::communicator::Communicator;
-use perceptile_cluster::faults::FaultPlan;
 use rayon::ThreadPool;
 
 use super::display::Shown;
@@ -31,6 +28,7 @@ use super::exit::{Failure, Misuse};
 use super::prepared::{Files, Invocation, PreparedRun};
 use super::progress::Terminal;
 use super::stream::print;
+use super::workers::WorkersArgs;
 use super::{duration, ranks, summary};
 
 /// By whom a run is done, and how it is kept and ended; of no influence on the tile unless it is
@@ -48,17 +46,8 @@ pub struct RunArgs {
     #[arg(long, value_name = "EVERY", default_value = "60s", value_parser = duration::parse_every, help_heading = "Files")]
     pub checkpoint: Every,
 
-    /// Bind each worker to cores of its own, in one NUMA node, with its memory there
-    #[arg(long, help_heading = "Running")]
-    pin: bool,
-
-    /// Workers that may be lost and replaced before the run is given up
-    #[arg(long, value_name = "N", default_value_t = 16, help_heading = "Running")]
-    replacements: u32,
-
-    /// A worker that gives no sign of life for so long counts as lost
-    #[arg(long, value_name = "TIME", default_value = "3s", value_parser = duration::parse_silence, help_heading = "Running")]
-    silence: Duration,
+    #[command(flatten)]
+    workers: WorkersArgs,
 
     /// How progress is shown on the standard error
     #[arg(
@@ -82,10 +71,6 @@ pub struct RunArgs {
     /// Print what was made as JSON
     #[arg(long, help_heading = "Output")]
     json: bool,
-
-    /// Make workers fail on purpose: the mean life of one and the share that hangs, as 500ms,0.25
-    #[arg(long, value_name = "PLAN", hide = true)]
-    faults: Option<FaultPlan>,
 }
 
 impl RunArgs {
@@ -95,16 +80,7 @@ impl RunArgs {
     /// If that would be too many, and flags that do not go together.
     pub fn parallelism(&self, ranks: usize) -> Result<Parallelism, Misuse> {
         let workers = self.execution.workers;
-        if workers == 0 && (self.pin || self.faults.is_some()) {
-            return Err(Misuse("--pin is for worker processes: see --workers".into()));
-        }
-        if workers > 0 && ranks > 1 {
-            return Err(Misuse("ranks have threads and no workers: leave out --workers".into()));
-        }
-        #[cfg(not(unix))]
-        if workers > 0 {
-            return Err(execution::no_workers());
-        }
+        self.workers.check(workers, ranks)?;
         Ok(Parallelism { ranks, ..self.execution.parallelism()? })
     }
 
@@ -223,14 +199,8 @@ impl RunArgs {
         if plan.parallelism.has_workers() {
             let folder = files.and_then(|files| files.checkpointer.path().parent());
             let folder = folder.filter(|path| !path.as_os_str().is_empty());
-            return Parallel::Workers(WorkersOptions {
-                arguments: vec![super::WORKER.into()],
-                pin: self.pin,
-                silence: self.silence,
-                replacements: self.replacements,
-                faults: self.faults,
-                folder: folder.unwrap_or(Path::new(".")).to_owned(),
-            });
+            let folder = folder.unwrap_or(Path::new("."));
+            return Parallel::Workers(self.workers.options(super::WORKER, folder));
         }
         if plan.parallelism.ranks > 1 {
             Parallel::Ranks(Arc::clone(communicator))

@@ -1,7 +1,5 @@
 //! Why a run makes no tile.
 
-use std::{io, path::PathBuf};
-
 use perceptile_cluster::codec::CodecError;
 use perceptile_cluster::shared::MapError;
 #[cfg(unix)]
@@ -26,14 +24,6 @@ pub enum RunError {
     /// Another rank failed, which says how.
     #[error("another rank failed")]
     Elsewhere,
-    /// No file for shared memory can be made.
-    #[error("no file for shared memory can be made in {}: {error}", folder.display())]
-    File {
-        /// Where.
-        folder: PathBuf,
-        /// What the system says.
-        error: io::Error,
-    },
     /// Workers cannot be started.
     #[cfg(unix)]
     #[error(transparent)]

@@ -24,6 +24,14 @@ pub enum ProcessError {
         /// What the system reports.
         error: io::Error,
     },
+    /// No file for shared memory can be made.
+    #[error("no file for shared memory can be made in {}: {error}", folder.display())]
+    Memory {
+        /// Where.
+        folder: PathBuf,
+        /// What the system says.
+        error: io::Error,
+    },
     /// The program does not start.
     #[error("cannot start a worker from {}: {error}", program.display())]
     Start {

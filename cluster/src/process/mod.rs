@@ -8,7 +8,9 @@
 mod coordinator;
 mod error;
 mod loss;
+mod memory;
 mod message;
+mod options;
 mod program;
 #[cfg(test)]
 mod tests;
@@ -17,6 +19,8 @@ mod worker;
 pub use coordinator::{Launch, Workers};
 pub use error::ProcessError;
 pub use loss::{Cause, Loss};
+pub use memory::memory_file;
 pub use message::MessageError;
+pub use options::WorkersOptions;
 pub use program::this_program;
 pub use worker::{Attached, attach};

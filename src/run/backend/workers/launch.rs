@@ -1,12 +1,10 @@
 //! Starting workers: the memory that they share, what lies in it, and what each is sent.
 
-use std::fs::File;
 use std::hash::{BuildHasher, RandomState};
-use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
-use perceptile_cluster::process::{Launch, Workers, this_program};
+use perceptile_cluster::process::{Launch, Workers, memory_file, this_program};
 use perceptile_cluster::shared::{Map, MapHeader, allocate};
 use perceptile_cluster::{Worker, affinity, codec};
 
@@ -19,8 +17,6 @@ use crate::run::start::InitialState;
 use crate::solver::Storage;
 use crate::tile::Region;
 
-/// Where shared memory is fastest.
-const FASTEST: &str = "/dev/shm";
 /// How long a worker may take until it is ready: kernels may be large, machines slow.
 const PATIENCE: Duration = Duration::from_secs(60);
 
@@ -40,7 +36,7 @@ pub(super) fn launch(
     }
     let storage = plan.storage(Region::whole(plan.options.shape));
     let header = MapHeader { len: storage.bytes() as u64, run: RandomState::new().hash_one(1) };
-    let (file, folder) = memory(header.len, &options.folder)?;
+    let (file, folder) = memory_file(header.len, &options.folder)?;
     for (index, processors) in affinity.iter().flatten().enumerate() {
         // Memory lies near whoever touches it first.
         let ranges = storage.shares(index);
@@ -68,18 +64,4 @@ pub(super) fn launch(
         silence: options.silence,
     };
     Ok((Workers::start(launch)?, worker, storage))
-}
-
-/// A file without a name for shared memory, and its folder: where it is fastest, or else `folder`.
-fn memory(bytes: u64, folder: &Path) -> Result<(File, &Path), RunError> {
-    let room = |path: &str| {
-        let system = rustix::fs::statvfs(path).ok()?;
-        system.f_bavail.checked_mul(system.f_frsize)
-    };
-    let fits = room(FASTEST).is_some_and(|free| free > bytes.saturating_add(1 << 20));
-    let folder = if fits { Path::new(FASTEST) } else { folder };
-    match tempfile::tempfile_in(folder) {
-        Ok(file) => Ok((file, folder)),
-        Err(error) => Err(RunError::File { folder: folder.to_owned(), error }),
-    }
 }

@@ -6,13 +6,12 @@
 
 use std::cell::OnceCell;
 use std::io;
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use perceptile_cluster::Worker;
-use perceptile_cluster::faults::FaultPlan;
+pub use perceptile_cluster::process::WorkersOptions;
 use perceptile_cluster::process::{Cause, Loss, Workers};
 use perceptile_cluster::shared::{Board, Counter};
 
@@ -30,24 +29,6 @@ use crate::tile::Reach;
 
 mod launch;
 pub mod task;
-
-/// How worker processes are used.
-#[derive(Debug, Clone, PartialEq)]
-pub struct WorkersOptions {
-    /// Arguments that make this program a worker: those of a command that calls
-    /// [`serve`](task::serve).
-    pub arguments: Vec<String>,
-    /// Whether each worker is bound to processors of its own, in one NUMA node.
-    pub pin: bool,
-    /// How long a worker may give no sign of life.
-    pub silence: Duration,
-    /// Workers that may be replaced; one more, and the run is given up.
-    pub replacements: u32,
-    /// Faults made on purpose.
-    pub faults: Option<FaultPlan>,
-    /// Where shared memory goes if there is no room where it is fastest.
-    pub folder: PathBuf,
-}
 
 /// Between two looks at the workers.
 const PAUSE: Duration = Duration::from_millis(5);
