@@ -8,7 +8,8 @@ use perceptile::KernelSpec;
 use perceptile::gradient::simd::Simd;
 use perceptile::kernel::KernelTaps;
 use perceptile::select::{
-    AnimationShape, Continuation, Filters, Frame, Norm, SelectOptions, Selection,
+    AnimationShape, Candidates, Filters, Frame, Norm, SelectOptions, SelectParallelism, SelectPlan,
+    Selection,
 };
 
 const SIZE: usize = 128;
@@ -40,9 +41,12 @@ fn animation(renders: usize) -> Vec<Frame> {
 
 fn run(frames: &[Frame], filters: &Filters, subsets: bool, options: &SelectOptions) -> f64 {
     let shape = AnimationShape::new(SIZE, SIZE, frames.len(), 3).expect("a shape");
-    let renders = (frames[0].renders.len(), subsets);
-    let mut selection =
-        Selection::new(shape, filters, renders, options, Simd::detect()).expect("a selection");
+    let candidates = Candidates { renders: frames[0].renders.len(), subsets, half: false };
+    let threads = rayon::current_num_threads();
+    let parallelism = SelectParallelism { ranks: 1, workers: 0, threads };
+    let plan = SelectPlan::new(shape, filters.clone(), candidates, *options, parallelism);
+    let plan = plan.expect("a plan");
+    let mut selection = Selection::new(&plan, Simd::detect()).expect("a selection");
     loop {
         selection.needed().for_each(|frame| selection.load(&frames[frame]));
         if !selection.advance(|_, picture, _| {
@@ -156,8 +160,7 @@ fn select(criterion: &mut Criterion) {
     group.sample_size(10);
     let frames = animation(4);
     let default = "gaussian(2.1) * fovvideovdp(60) @ 7x7x8";
-    let options =
-        |norm| SelectOptions { norm, sweeps: SWEEPS, continuation: Continuation::default() };
+    let options = |norm| SelectOptions { norm, sweeps: SWEEPS, ..SelectOptions::default() };
     let visits = (SIZE * SIZE * FRAMES) as u64 * u64::from(SWEEPS);
     group.throughput(Throughput::Elements(visits));
     for (name, norm, subsets, text, alpha) in [

@@ -25,6 +25,8 @@ use perceptile::run::error::RunError;
 use perceptile::run::folder::FolderError;
 use perceptile::run::memory::MemoryError;
 use perceptile::select::SelectError;
+#[cfg(unix)]
+use perceptile::select::workers::CrewError;
 use perceptile::solver::OptionsError;
 use perceptile::tile::ShapeError;
 use perceptile_cluster::shared::MapError;
@@ -159,7 +161,11 @@ exits! {
     ImageError { _ => Exit::Failed }
     SourceError { _ => Exit::Failed }
     AnimationError { Self::Pattern { .. } => Exit::Misuse, _ => Exit::Failed }
-    SelectError { Self::Memory(error) => error.exit(), _ => Exit::Misuse }
+    SelectError {
+        Self::Memory(error) => error.exit(),
+        Self::Elsewhere => Exit::Failed,
+        _ => Exit::Misuse,
+    }
     OutputError { _ => Exit::Failed }
     serde_json::Error { _ => Exit::Failed }
 }
@@ -179,6 +185,13 @@ exits! {
         Self::Report(_) => Exit::Failed,
     }
     WorkerError { _ => Exit::Failed }
+    CrewError {
+        Self::Select(error) => error.exit(),
+        Self::Memory(error) => error.exit(),
+        Self::Affinity(_) => Exit::Misuse,
+        Self::Lost { .. } => Exit::Lost,
+        _ => Exit::Failed,
+    }
 }
 
 #[cfg(not(unix))]

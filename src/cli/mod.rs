@@ -32,13 +32,14 @@ mod source;
 mod stream;
 mod summary;
 mod viewing;
+mod workers;
 
 use std::ffi::OsString;
 use std::process::ExitCode;
 
 use clap::{ArgMatches, CommandFactory, FromArgMatches, Parser, Subcommand};
 #[cfg(unix)]
-use perceptile::{profile::workers, run::backend::workers::task};
+use perceptile::{profile::workers::take_part, run::backend::workers::task};
 use perceptile_cluster::launcher::Launcher;
 
 use config::MatchError;
@@ -80,10 +81,23 @@ enum Command {
     /// Take part in a run as one of its workers; started by a coordinator only
     #[command(name = WORKER, hide = true)]
     Worker,
+    /// Take part in a selection as one of its workers; started by a coordinator only
+    #[command(name = SELECT_WORKER, hide = true)]
+    SelectWorker,
 }
 
-/// The name of the command that makes this program a worker.
+impl Command {
+    /// Whether several ranks can do it, or it is none's.
+    fn is_for_ranks(&self) -> bool {
+        use Command::{Optimize, Resume, Select, SelectWorker, Worker};
+        matches!(self, Optimize(_) | Resume(_) | Select(_) | SelectWorker | Worker)
+    }
+}
+
+/// The name of the command that makes this program a worker of a run.
 const WORKER: &str = "worker";
+/// The same for a selection.
+const SELECT_WORKER: &str = "select-worker";
 
 /// Runs the command that the process was started with.
 pub fn main() -> ExitCode {
@@ -116,8 +130,8 @@ fn run(
         print(&config::file(optimize, matches, args.effective()?))?;
         return Ok(ExitCode::SUCCESS);
     }
-    if !matches!(command, Command::Optimize(_) | Command::Resume(_) | Command::Worker) {
-        ranks::check_alone(launcher, "only `optimize` and `resume` are for several")?;
+    if !command.is_for_ranks() {
+        ranks::check_alone(launcher, "only `optimize`, `resume` and `select` are for several")?;
     }
     let done = |()| ExitCode::SUCCESS;
     match command {
@@ -126,16 +140,18 @@ fn run(
         Command::Evaluate(args) => evaluate::run(args).map(done),
         Command::Kernel(args) => kernel::run(args).map(done),
         Command::Presets(args) => presets::run(&args).map(done),
-        Command::Select(args) => select::run(&args),
+        Command::Select(args) => ranks::together(launcher, |ranks| select::run(&args, ranks)),
         Command::Export(args) => export::run(args).map(done),
         Command::Profile(args) => profile::run(&args).map(done),
         Command::Report(args) => report::run(args),
         Command::Completions(args) => completions::run(&args, Arguments::command()).map(done),
         Command::Man(args) => man::run(&args, Arguments::command()).map(done),
         #[cfg(unix)]
-        Command::Worker => Ok(task::serve(&workers::take_part).map(done)?),
+        Command::Worker => Ok(task::serve(&take_part).map(done)?),
+        #[cfg(unix)]
+        Command::SelectWorker => Ok(perceptile::select::workers::serve().map(done)?),
         #[cfg(not(unix))]
-        Command::Worker => Err(execution::no_workers().into()),
+        Command::Worker | Command::SelectWorker => Err(execution::no_workers().into()),
     }
 }
 

@@ -12,13 +12,11 @@ use perceptile::run::start::InitialState;
 use perceptile_cluster::codec;
 use perceptile_cluster::communicator::{Communicator, Single};
 use perceptile_cluster::launcher::Launcher;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
 
 use super::exit::{Failure, Misuse};
 use super::prepared::PreparedRun;
-
-/// What the root sends to other ranks: the plan, if there is one, and whether it goes on from a
-/// checkpoint; or the exit code.
-type Brief = Result<Option<(Plan, bool)>, u8>;
 
 /// Most memory that a brief may ask for: kernels of millions of taps are long.
 const BRIEF_LIMIT: usize = 1 << 30;
@@ -71,6 +69,34 @@ pub fn check_alone(launcher: Option<Launcher>, why: &str) -> Result<(), Misuse> 
     }
 }
 
+/// Sends other ranks what the root has for them: something, nothing, or the exit code to end with.
+///
+/// # Errors
+/// What cannot be sent.
+pub fn tell<T: Serialize>(
+    communicator: &dyn Communicator,
+    brief: &Result<Option<T>, u8>,
+) -> Result<(), Failure> {
+    if communicator.size() > 1 {
+        let mut bytes = codec::encode(brief)
+            .map_err(Failure::refused("cannot send the plan to other ranks"))?;
+        communicator.broadcast(&mut bytes);
+    }
+    Ok(())
+}
+
+/// What the root tells.
+///
+/// # Errors
+/// The exit code to end with, which the root has reported.
+pub fn hear<T: DeserializeOwned>(communicator: &dyn Communicator) -> Result<Option<T>, Failure> {
+    let mut bytes = Vec::new();
+    communicator.broadcast(&mut bytes);
+    let brief = codec::decode::<Result<Option<T>, u8>, BRIEF_LIMIT>(&bytes)
+        .map_err(Failure::refused("cannot read the plan of the first rank"))?;
+    brief.map_err(Failure::reported)
+}
+
 /// Sends other ranks what the root prepares: a run, or nothing. `threads` says how many this rank
 /// has.
 ///
@@ -81,26 +107,18 @@ pub fn share(
     threads: impl FnOnce() -> Result<usize, Misuse>,
     prepare: impl FnOnce() -> Result<Option<PreparedRun>, Failure>,
 ) -> Result<Option<PreparedRun>, Failure> {
-    if communicator.size() == 1 {
-        return prepare();
-    }
-    let mut bytes = Vec::new();
     if communicator.rank() == 0 {
         let prepared = prepare();
         let told = |job: &PreparedRun| (job.plan.clone(), job.start.is_checkpoint());
-        let brief: Brief = match &prepared {
+        let brief = match &prepared {
             Ok(job) => Ok(job.as_ref().map(told)),
             Err(failure) => Err(failure.code()),
         };
-        bytes = codec::encode(&brief)
-            .map_err(Failure::refused("cannot send the plan to other ranks"))?;
-        communicator.broadcast(&mut bytes);
+        tell(communicator, &brief)?;
         return prepared;
     }
-    communicator.broadcast(&mut bytes);
-    let brief = codec::decode::<Brief, BRIEF_LIMIT>(&bytes)
-        .map_err(Failure::refused("cannot read the plan of the first rank"))?;
-    let Some((mut plan, from_checkpoint)) = brief.map_err(Failure::reported)? else {
+    // The plan, and whether it goes on from a checkpoint.
+    let Some((mut plan, from_checkpoint)) = hear::<(Plan, bool)>(communicator)? else {
         return Ok(None);
     };
     plan.parallelism.threads = threads()?;

@@ -1,5 +1,6 @@
 //! `perceptile select`: chooses among candidate renders of an animation, pixel by pixel.
 
+mod hands;
 mod inputs;
 mod job;
 mod outputs;
@@ -8,17 +9,22 @@ mod summary;
 
 use std::path::PathBuf;
 use std::process::ExitCode;
+use std::sync::Arc;
 
 use clap::{Args, ValueEnum};
 use perceptile::format::write::Existing;
 use perceptile::kernel::{Factor, KernelSpec, Viewing};
-use perceptile::select::{Continuation, Filters, Norm, SelectOptions};
+use perceptile::select::{
+    Candidates, Continuation, Filters, Norm, SelectOptions, SelectParallelism, SelectPlan,
+};
 use perceptile::tile::TileShape;
+use perceptile_cluster::communicator::Communicator;
 
 use super::display::Shown;
 use super::execution::ExecutionArgs;
 use super::exit::{Failure, Misuse};
 use super::number::whole;
+use super::workers::WorkersArgs;
 use inputs::Inputs;
 use outputs::Outputs;
 
@@ -29,8 +35,12 @@ Examples:
       --candidates a/x.####.exr b/x.####.exr c/x.####.exr d/x.####.exr
   perceptile select --levels 64 --reference x.####.exr --out dithered/x.####.png";
 
-/// Where λ ends with a guide, whose own error should not be followed to the end.
-const GUIDED: f64 = 0.01;
+/// λ with a guide, whose own error should not be followed to the end.
+const GUIDED: Continuation = Continuation { from: 0.2, to: 0.01 };
+/// λ with levels, of which the two that are nearest have nothing to tell apart but their error.
+const LEVELS: Continuation = Continuation { from: 0.0, to: 0.0 };
+/// Where λ begins if only its end is given.
+const FROM: f64 = 0.2;
 
 /// Choose among candidate renders of an animation, for every pixel and frame
 ///
@@ -113,7 +123,7 @@ pub struct SelectArgs {
     sweeps: u32,
 
     /// Weight of the unfiltered error in the first and in the last sweep, or in the last one alone
-    /// [default: 0.2..0, with a guide 0.2..0.01]
+    /// [default: 0.01..0, with a guide 0.2..0.01, with levels 0]
     #[arg(long, value_name = "FROM..TO", value_parser = continuation, help_heading = "Selection")]
     continuation: Option<Continuation>,
 
@@ -128,6 +138,9 @@ pub struct SelectArgs {
 
     #[command(flatten)]
     execution: ExecutionArgs,
+
+    #[command(flatten)]
+    workers: WorkersArgs,
 
     /// How progress is shown on the standard error
     #[arg(long, value_enum, default_value_t = Shown::Auto, env = "PERCEPTILE_PROGRESS", help_heading = "Output")]
@@ -161,31 +174,38 @@ pub enum Transfer {
     Linear,
 }
 
-/// Runs the command.
+/// Runs the command, as one of the ranks.
 ///
 /// # Errors
 /// Arguments that contradict each other or the files, files that cannot be read or written, too little
-/// memory.
-pub fn run(args: &SelectArgs) -> Result<ExitCode, Failure> {
+/// memory, workers that are lost.
+pub fn run(args: &SelectArgs, communicator: &Arc<dyn Communicator>) -> Result<ExitCode, Failure> {
+    if communicator.rank() > 0 {
+        return job::follow(args, communicator);
+    }
+    let prepared = prepare(args, communicator.size());
+    job::run(args, prepared, communicator)
+}
+
+/// What the root does: the job and its outputs, or nothing if it was to be told only.
+fn prepare(args: &SelectArgs, ranks: usize) -> Result<Option<(job::Job, Outputs)>, Failure> {
     let inputs = Inputs::open(args)?;
-    let filters = filters(args)?;
     let outputs = Outputs::new(args, &inputs)?;
-    if args.execution.workers > 0 {
-        return Err(Misuse("select works with threads: leave out --workers".into()).into());
-    }
-    let job = job::Job {
-        inputs: &inputs,
-        filters: &filters,
-        options: args.options(),
-        threads: args.execution.threads()?,
-        simd: args.execution.simd(),
-    };
+    args.workers.check(args.execution.workers, ranks)?;
+    let (workers, threads) = (args.execution.workers, args.execution.threads()?);
+    let parallelism = SelectParallelism { ranks, workers, threads };
+    let (renders, subsets) = inputs.renders();
+    let candidates = Candidates { renders, subsets, half: inputs.are_half() };
+    let plan =
+        SelectPlan::new(inputs.shape()?, filters(args)?, candidates, args.options(), parallelism)?;
+    let job = job::Job { inputs, plan, simd: args.execution.simd() };
     if args.dry_run {
-        job.check_memory()?;
-        super::stream::print(&job.intent(&outputs)?)?;
-        return Ok(ExitCode::SUCCESS);
+        super::stream::print(&job.intent(args, &outputs)?)?;
+        job.check_memory(args)?;
+        return Ok(None);
     }
-    job.run(args, outputs)
+    job.check_memory(args)?;
+    Ok(Some((job, outputs)))
 }
 
 impl SelectArgs {
@@ -194,9 +214,10 @@ impl SelectArgs {
             NormChoice::L1 => Norm::L1,
             NormChoice::L2 => Norm::L2,
         };
-        let default = match self.guide {
-            Some(_) => Continuation { to: GUIDED, ..Continuation::default() },
-            None => Continuation::default(),
+        let default = match (&self.guide, self.levels) {
+            (Some(_), _) => GUIDED,
+            (None, Some(_)) => LEVELS,
+            (None, None) => Continuation::default(),
         };
         let continuation = self.continuation.unwrap_or(default);
         SelectOptions { norm, sweeps: self.sweeps, continuation }
@@ -260,7 +281,7 @@ fn continuation(text: &str) -> Result<Continuation, String> {
         Some((from, to)) => Ok(Continuation { from: number(from)?, to: number(to)? }),
         None => {
             let to = number(text)?;
-            Ok(Continuation { from: Continuation::default().from.max(to), to })
+            Ok(Continuation { from: FROM.max(to), to })
         }
     }
 }

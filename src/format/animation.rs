@@ -107,6 +107,14 @@ pub enum AnimationError {
         /// Its pixels.
         expected: [usize; 2],
     },
+    /// Floats of another size than in the first.
+    #[error("{} has 32-bit colours, but {} has half floats", path.display(), first.display())]
+    Depth {
+        /// The file.
+        path: PathBuf,
+        /// The first file.
+        first: PathBuf,
+    },
     /// A value that is no number, or too large a one.
     #[error(
         "frame {frame} of {} has the value {value} at pixel ({x}, {y}), channel {channel}, but values must be finite and at most 1e12",
@@ -218,6 +226,14 @@ impl Animation {
         }
     }
 
+    /// Whether every value is that of a half float.
+    pub fn is_half(&self) -> bool {
+        match &self.files {
+            Files::Npy { entry, .. } => entry.kind() == ElementKind::F16,
+            Files::Exr { template, .. } => template.is_half(),
+        }
+    }
+
     /// The file of a frame.
     ///
     /// # Panics
@@ -265,6 +281,10 @@ impl Animation {
                         first: paths[0].clone(),
                         expected: self.size,
                     });
+                }
+                if self.is_half() && !template.is_half() {
+                    let (path, first) = (path.clone(), paths[0].clone());
+                    return Err(AnimationError::Depth { path, first });
                 }
                 planes
             }

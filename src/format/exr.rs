@@ -82,6 +82,11 @@ impl ExrTemplate {
         self.has_others
     }
 
+    /// Whether its colours are half floats.
+    pub fn is_half(&self) -> bool {
+        self.half
+    }
+
     /// Pixels across and down.
     pub fn size(&self) -> [usize; 2] {
         let Vec2(width, height) = self.image.display_window.size;

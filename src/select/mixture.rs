@@ -11,6 +11,9 @@ pub const MAX_SUBSET_RENDERS: usize = 6;
 /// Most candidates of a pixel.
 pub const MAX_CANDIDATES: usize = 64;
 
+/// The choice of a pixel that is still the reference.
+pub(super) const UNSET: u8 = u8::MAX;
+
 /// The weights of all renders in every candidate.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Mixture {

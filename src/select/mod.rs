@@ -3,32 +3,43 @@
 //! not see it (the paper's Eq. 4 with Eq. 3, solved on the pictures themselves; its Figure 5).
 //!
 //! ```text
-//!  frames ──► window ──────────────► selection ──► picture, scores
-//!  renders,   rings of frames:       waves of sweeps
-//!  guide      residual, weights        │
-//!                                    visit: footprint, mixture
+//!            plan (what, how, by whom)
+//!              │
+//!  frames ──► selection ─────────────────────────► picture, scores, state
+//!  renders,    │   (the owner; workers, ranks follow)
+//!  guide      engine: schedule of waves ──► borders between ranks
+//!              │
+//!             window: rings of frames ──► visit: footprint, mixture
+//!             residual, weights, ...
 //! ```
 //!
 //! The perceived error is r = g_s * g_t * (g_a * R − I): the renderer's temporal filter g_a works on
 //! the render R alone, the eye's g_s and g_t on both ([`Filters`]). A sweep visits every pixel and
 //! takes the candidate with the least objective Σ w²(r² + λe²), where e = R − I and
 //! 1/w² = (g_s * g_t * I)² + 0.01, so that with λ = 0 it is the pRelMSE that the paper measures.
-//! λ falls from sweep to sweep ([`Continuation`]).
+//! λ falls from sweep to sweep ([`Continuation`]). Until its first visit a pixel is the reference, without
+//! error, so that it then takes on what those before it have left. (From the closest candidates, single
+//! changes lead to twice the error, and with the two levels of a display to five times as much.)
 //!
 //! Animations stream. Sweep k + 1 follows sweep k through the frames at a distance, so that all
 //! sweeps go on at once at different frames of a window, in *waves*: in wave n, sweep k visits frame
-//! n − k·[`LAG`]. What lies behind the last sweep is done. Nothing that is chosen depends on threads
-//! or on how much is read ahead.
+//! n − k·[`LAG`]. What lies behind the last sweep is done. Nothing that is chosen depends on threads,
+//! workers or ranks, or on how much is read ahead.
 //!
 //! Borders: beyond a picture's sides nothing is seen, before the first frame and behind the last one
 //! the reference stands still, and there is no error.
 
+mod borders;
 mod engine;
+mod faults;
 mod filter;
 mod footprint;
 mod mixture;
 mod options;
+mod plan;
+mod schedule;
 mod score;
+mod selection;
 mod sources;
 mod state;
 mod strips;
@@ -36,19 +47,24 @@ mod strips;
 mod tests;
 mod visit;
 mod window;
+#[cfg(unix)]
+pub mod workers;
 
 use std::collections::BTreeMap;
 
 use glam::IVec3;
 use perceptile_cluster::shared::MapError;
+use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::kernel::{KernelTaps, Tap};
 
-pub use engine::{Frame, LAG, RENEWAL, Selection, foreseen};
 pub use mixture::{MAX_CANDIDATES, MAX_SUBSET_RENDERS};
 pub use options::{Continuation, Norm, SelectOptions};
+pub use plan::{Candidates, SelectParallelism, SelectPlan};
+pub use schedule::{LAG, RENEWAL};
 pub use score::{MethodScores, SelectScores};
+pub use selection::{Frame, Selection};
 pub use state::SelectState;
 
 /// Why nothing can be selected.
@@ -107,13 +123,26 @@ pub enum SelectError {
         /// The weight.
         alpha: f64,
     },
+    /// Too small a picture.
+    #[error("{ranks} ranks are too many: a picture of {height} rows has {strips} strips")]
+    Ranks {
+        /// Ranks.
+        ranks: usize,
+        /// What a picture is cut into.
+        strips: usize,
+        /// Rows of a picture.
+        height: usize,
+    },
     /// There is not enough memory.
     #[error(transparent)]
     Memory(#[from] MapError),
+    /// Another rank failed, which says how.
+    #[error("another rank failed")]
+    Elsewhere,
 }
 
 /// The size of an animation.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AnimationShape {
     width: usize,
     height: usize,
@@ -175,7 +204,7 @@ impl AnimationShape {
 }
 
 /// The filters of the model.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Filters {
     /// The eye's, g_s * g_t: what the reference is seen through.
     pub eye: KernelTaps,

@@ -17,9 +17,9 @@ pub enum Norm {
 
 /// How the weight λ of the unfiltered error falls from the first sweep to the last.
 ///
-/// With λ = 0 from the beginning the objective is the paper's, and ends in poor minima: fine noise
-/// that the filter does not see stays. While λ is large, what is closest is chosen, and later sweeps
-/// move the error that is left to where it is not seen.
+/// With λ = 0 from the beginning the objective is the paper's: least error is seen, but much fine noise
+/// stays that the filter does not see, and other models of vision do. While λ is large, what is closest
+/// is chosen, and later sweeps move the error that is left to where it is not seen.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Continuation {
     /// λ of the first sweep, at least `to`.
@@ -30,7 +30,7 @@ pub struct Continuation {
 
 impl Default for Continuation {
     fn default() -> Self {
-        Self { from: 0.2, to: 0.0 }
+        Self { from: 0.01, to: 0.0 }
     }
 }
 

@@ -17,6 +17,16 @@ pub(super) enum Scored {
     Others,
 }
 
+impl Scored {
+    /// Their places among so many methods.
+    fn methods(self, all: usize) -> Range<usize> {
+        match self {
+            Self::Selection => 0..1,
+            Self::Others => 1..all,
+        }
+    }
+}
+
 /// Sums of squares over frames.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Sums {
@@ -58,13 +68,14 @@ impl Sums {
         self.sums.len() == Method::all(renders).count()
     }
 
-    /// Adds the sums of a frame's strips, in their order.
+    /// Adds what is scored of a frame's strips, in their order.
     pub fn add(&mut self, strips: &[f64], scored: Scored) {
         self.frames += usize::from(scored == Scored::Selection);
-        for strip in strips.chunks_exact(2 * self.sums.len()) {
-            for (sum, found) in self.sums.iter_mut().zip(strip.as_chunks().0) {
-                let [plain, taa]: [f64; 2] = *found;
-                *sum = [sum[0] + plain, sum[1] + taa];
+        let methods = self.sums.len();
+        for strip in strips.chunks_exact(2 * methods) {
+            for i in scored.methods(methods) {
+                let sum = &mut self.sums[i];
+                *sum = [sum[0] + strip[2 * i], sum[1] + strip[2 * i + 1]];
             }
         }
     }
@@ -81,8 +92,7 @@ impl Sums {
     }
 }
 
-/// The sums of squares of a strip of a frame: for each method, without TAA and with it; 0 for those that
-/// are not scored.
+/// The sums of squares of a strip of a frame: for each method that is scored, without TAA and with it.
 pub(super) fn strip_sums(
     shares: &Shares<'_>,
     (frame, scored): (usize, Scored),
@@ -95,7 +105,8 @@ pub(super) fn strip_sums(
     let mut scratch = FilterScratch::default();
     let mut seen = vec![0.0; rows.len() * shape.width()];
     let mut shift = seen.clone();
-    sums.fill(0.0);
+    let methods = scored.methods(sums.len() / 2);
+    sums[2 * methods.start..2 * methods.end].fill(0.0);
     for channel in 0..shape.channels() {
         let padded = plan.seen_rows(frame, channel, rows.start + top..rows.end + top);
         let weights = &shares.weights[padded];
@@ -124,10 +135,8 @@ pub(super) fn strip_sums(
         if shares.filters.render.is_some() {
             shares.shift(frame, channel, &within, &mut FilterScratch::default(), &mut shift);
         }
-        for (method, sums) in Method::all(plan.renders).zip(sums.as_chunks_mut::<2>().0) {
-            if (method == Method::Selection) != (scored == Scored::Selection) {
-                continue;
-            }
+        let all = Method::all(plan.renders).zip(sums.as_chunks_mut::<2>().0);
+        for (method, sums) in all.skip(methods.start).take(methods.len()) {
             let errors = shares.errors(method, channel);
             sums[0] += measure(&shares.filters.eye, None, &errors);
             if let Some(render) = &shares.filters.render {

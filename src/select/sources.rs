@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use super::filter::{Border, Filter, FilterScratch, Rows, add};
 use super::options::Norm;
-use super::window::WindowPlan;
+use super::window::{Renders, WindowPlan};
 
 /// What is scored: the selection, the mean of all renders, and each render.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -39,7 +39,7 @@ pub(super) struct Shares<'a> {
     pub weights: &'a [f32],
     pub norm: Norm,
     pub guide: &'a [f32],
-    pub renders: &'a [f32],
+    pub renders: &'a Renders,
     pub current: &'a [f32],
 }
 
@@ -74,23 +74,20 @@ impl Rows for Errors<'_> {
         let (frame, rows) = (frame as usize, row..row + 1);
         let place = plan.picture_rows(frame, self.channel, rows.clone());
         let guide = &guide[place.clone()];
-        let render = |k| &renders[plan.render_rows(frame, k, self.channel, rows.clone())];
-        let mut difference = |picture: &[f32]| {
+        let mut difference = |picture: &[f32], scale: f32| {
             for ((out, &value), &guide) in out.iter_mut().zip(picture).zip(guide) {
                 *out += scale * (value - guide);
             }
         };
-        match self.method {
-            Method::Selection => difference(&current[place]),
-            Method::Render(k) => difference(render(k)),
-            Method::Mean => {
-                let share = scale / plan.renders as f32;
-                for k in 0..plan.renders {
-                    for ((out, &value), &guide) in out.iter_mut().zip(render(k)).zip(guide) {
-                        *out += share * (value - guide);
-                    }
-                }
-            }
+        let (renders_of, scale) = match self.method {
+            Method::Selection => return difference(&current[place], scale),
+            Method::Render(k) => (k..k + 1, scale),
+            Method::Mean => (0..plan.renders, scale / plan.renders as f32),
+        };
+        let mut render = vec![0.0; place.len()];
+        for k in renders_of {
+            renders.read(plan.render_rows(frame, k, self.channel, rows.clone()), &mut render);
+            difference(&render, scale);
         }
     }
 }

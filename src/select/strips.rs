@@ -36,9 +36,19 @@ impl Strips {
         strip * self.rows..((strip + 1) * self.rows).min(self.height)
     }
 
-    /// The strips of a colour, from above.
-    pub fn of_colour(&self, colour: usize) -> impl Iterator<Item = Range<usize>> {
-        (colour..self.len()).step_by(COLOURS).map(|strip| self.rows(strip))
+    /// The rows of some strips together.
+    pub fn all_rows(&self, strips: &Range<usize>) -> Range<usize> {
+        self.rows(strips.start).start..self.rows(strips.end - 1).end
+    }
+
+    /// Rows of the largest strip.
+    pub fn most_rows(&self) -> usize {
+        self.rows.min(self.height)
+    }
+
+    /// Those of some strips that have a colour, from above.
+    pub fn of_colour(strips: &Range<usize>, colour: usize) -> impl Iterator<Item = usize> + use<> {
+        strips.clone().filter(move |strip| strip % COLOURS == colour)
     }
 }
 
@@ -58,7 +68,8 @@ mod tests {
             prop_assert_eq!(all, Vec::from_iter(0..height));
             let mut count = 0;
             for colour in 0..COLOURS {
-                let rows: Vec<_> = strips.of_colour(colour).collect();
+                let of_colour = Strips::of_colour(&(0..strips.len()), colour);
+                let rows: Vec<_> = of_colour.map(|strip| strips.rows(strip)).collect();
                 count += rows.len();
                 prop_assert!(rows.windows(2).all(|pair| pair[0].end + kernel <= pair[1].start + 1));
             }

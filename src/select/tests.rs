@@ -1,6 +1,9 @@
 //! The engine against the definition: sums over every pixel and tap in double precision.
 
+use std::sync::Arc;
+
 use glam::IVec3;
+use perceptile_cluster::communicator::{Communicator, InProcess};
 use proptest::prelude::*;
 
 use super::mixture::Mixture;
@@ -62,15 +65,72 @@ impl Animation {
         options: &SelectOptions,
         simd: Simd,
     ) -> Selection {
-        let renders = (self.frames[0].renders.len(), subsets);
-        Selection::new(self.shape, filters, renders, options, simd).unwrap()
+        let threads = SelectParallelism { ranks: 1, workers: 0, threads: 8 };
+        Selection::new(&self.plan(filters, subsets, options, threads), simd).unwrap()
+    }
+
+    fn plan(
+        &self,
+        filters: &Filters,
+        subsets: bool,
+        options: &SelectOptions,
+        parallelism: SelectParallelism,
+    ) -> SelectPlan {
+        let renders = self.frames[0].renders.len();
+        let candidates = Candidates { renders, subsets, half: false };
+        SelectPlan::new(self.shape, filters.clone(), candidates, *options, parallelism).unwrap()
+    }
+
+    /// The same by ranks, of which the root gets all that there is.
+    fn by_ranks(
+        &self,
+        plan: &SelectPlan,
+        state: Option<&SelectState>,
+    ) -> (Outcome, Vec<SelectState>) {
+        let run = |communicator: InProcess| {
+            let is_root = communicator.rank() == 0;
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+            pool.install(|| {
+                let mut selection =
+                    Selection::of_ranks(plan, Simd::detect(), Arc::new(communicator)).unwrap();
+                match state {
+                    Some(state) if is_root => selection.restore(state.clone()).unwrap(),
+                    Some(state) => selection.go_on_from(state.wave),
+                    None => (),
+                }
+                let mut states = Vec::new();
+                let outcome = self.follow(&mut selection, is_root, &mut states);
+                (outcome, states)
+            })
+        };
+        std::thread::scope(|scope| {
+            let run = &run;
+            let ranks: Vec<_> = InProcess::group(plan.parallelism().ranks)
+                .into_iter()
+                .map(|communicator| scope.spawn(move || run(communicator)))
+                .collect();
+            let outcomes: Vec<_> = ranks.into_iter().map(|rank| rank.join().unwrap()).collect();
+            outcomes.into_iter().next().unwrap()
+        })
     }
 
     /// All waves that are left.
     fn go_on(&self, selection: &mut Selection) -> Outcome {
+        self.follow(selection, true, &mut Vec::new())
+    }
+
+    fn follow(
+        &self,
+        selection: &mut Selection,
+        is_root: bool,
+        states: &mut Vec<SelectState>,
+    ) -> Outcome {
         let (mut pictures, mut choices) = (Vec::new(), Vec::new());
         loop {
-            selection.needed().for_each(|frame| selection.load(&self.frames[frame]));
+            states.extend(selection.state());
+            for frame in selection.needed() {
+                if is_root { selection.load(&self.frames[frame]) } else { selection.receive() }
+            }
             let more = selection.advance(|_, picture, choice| {
                 pictures.push(picture.iter().map(|value| value.to_bits()).collect());
                 choices.push(choice.to_vec());
@@ -203,16 +263,18 @@ fn no_sweep_raises_the_objective_at_any_lambda() {
             let options = options(norm, 5, lambda, lambda);
             let mut selection = animation.selection(&filters, true, &options, Simd::detect());
             animation.frames.iter().for_each(|frame| selection.load(frame));
-            selection.prepare_all();
+            selection.engine.prepare_all();
             let objective = |selection: &Selection| {
                 let choices = selection.choices();
                 animation.objective(&filters, &mixture, &choices, (norm, lambda))
             };
+            // In the first sweep pixels get what they did not have: an error.
+            (0..5).for_each(|frame| selection.engine.sweep(frame, 0));
             let mut before = objective(&selection);
             let start = before;
-            for sweep in 0..5 {
+            for sweep in 1..5 {
                 for frame in 0..5 {
-                    selection.sweep(frame, sweep);
+                    selection.engine.sweep(frame, sweep);
                     let now = objective(&selection);
                     assert!(
                         now <= before * (1.0 + 1e-6),
@@ -345,6 +407,54 @@ fn a_selection_goes_on_from_its_choices() {
 }
 
 #[test]
+fn ranks_choose_what_one_process_chooses() {
+    let tall = taps(&[(0, 0, 0, 1.0), (1, 5, -1, 0.5), (-2, -4, 0, 0.3), (0, 9, 1, 0.2)]);
+    for (size, norm, alpha, kernel) in [
+        ([13, 70, 7, 3], Norm::L2, None, eye()),
+        ([9, 41, 5, 1], Norm::L1, Some(0.5), eye()),
+        // The last strip is a single row.
+        ([7, 33, 6, 3], Norm::L2, Some(0.4), eye()),
+        ([11, 60, 6, 1], Norm::L2, None, tall),
+        ([5, 34, 2 * RENEWAL, 1], Norm::L2, None, eye()),
+    ] {
+        let animation = Animation::new(size, 3, 4);
+        let filters = Filters::new(kernel, alpha).unwrap();
+        let options = options(norm, 4, 0.2, 0.0);
+        let one = animation.select(&filters, true, &options, (Simd::detect(), 1));
+        for ranks in 1..=4 {
+            let parallelism = SelectParallelism { ranks, workers: 0, threads: 1 };
+            let plan = animation.plan(&filters, true, &options, parallelism);
+            let (whole, states) = animation.by_ranks(&plan, None);
+            assert!(whole == one, "{size:?} on {ranks} ranks");
+            // Any number of ranks goes on from what any other left.
+            for state in states {
+                let (rest, _) = animation.by_ranks(&plan, Some(&state));
+                assert!(rest.pictures[..] == one.pictures[state.done()..]);
+                assert_eq!((&rest.scores, &rest.sweeps), (&one.scores, &one.sweeps));
+            }
+        }
+    }
+}
+
+#[test]
+fn renders_of_half_floats_lose_nothing() {
+    let mut animation = Animation::new([13, 20, 7, 3], 3, 4);
+    for render in animation.frames.iter_mut().flat_map(|frame| &mut frame.renders) {
+        render.iter_mut().for_each(|value| *value = half::f16::from_f32(*value).to_f32());
+    }
+    let filters = Filters::new(eye(), None).unwrap();
+    let options = options(Norm::L2, 4, 0.2, 0.0);
+    let single = animation.select(&filters, true, &options, (Simd::detect(), 2));
+    let threads = SelectParallelism { ranks: 1, workers: 0, threads: 2 };
+    let mut plan = animation.plan(&filters, true, &options, threads);
+    let bytes = plan.foreseen().unwrap().0;
+    plan.candidates.half = true;
+    assert!(plan.foreseen().unwrap().0 < bytes);
+    let mut selection = Selection::new(&plan, Simd::plain()).unwrap();
+    assert!(animation.go_on(&mut selection) == single);
+}
+
+#[test]
 fn the_state_of_another_selection_is_refused() {
     let animation = Animation::new([5, 5, 2 * RENEWAL, 1], 2, 8);
     let filters = Filters::new(eye(), None).unwrap();
@@ -394,7 +504,8 @@ fn what_is_one_of_a_kind_works() {
     }
     let outcome = animation.select(&filters, false, &SelectOptions::default(), (Simd::detect(), 1));
     assert!(outcome.choices.iter().flatten().all(|&choice| choice == 0));
-    assert!(outcome.sweeps.iter().all(|&(_, changes)| changes == 0));
+    let changes: Vec<u64> = outcome.sweeps.iter().map(|&(_, changes)| changes).collect();
+    assert!(changes[0] == 6 * 5 * 3 && changes[1..].iter().all(|&changes| changes == 0));
 }
 
 #[test]
@@ -409,18 +520,17 @@ fn what_cannot_be_is_refused() {
     }
     let shape = AnimationShape::new(4, 4, 2, 1).unwrap();
     let filters = Filters::new(eye(), None).unwrap();
-    let new = |renders, subsets| {
-        Selection::new(
-            shape,
-            &filters,
-            (renders, subsets),
-            &SelectOptions::default(),
-            Simd::plain(),
-        )
-        .map(|_| ())
+    let options = SelectOptions::default();
+    let new = |renders, subsets, ranks| {
+        let candidates = Candidates { renders, subsets, half: false };
+        let parallelism = SelectParallelism { ranks, workers: 0, threads: 1 };
+        SelectPlan::new(shape, filters.clone(), candidates, options, parallelism)
     };
-    assert!(new(0, false).is_err() && new(65, false).is_err() && new(7, true).is_err());
-    assert!(new(64, false).is_ok() && new(6, true).is_ok());
+    for (renders, subsets) in [(0, false), (65, false), (7, true)] {
+        assert!(matches!(new(renders, subsets, 1), Err(SelectError::Renders { .. })));
+    }
+    assert!(new(64, false, 1).is_ok() && new(6, true, 1).is_ok());
+    assert!(matches!(new(2, false, 2), Err(SelectError::Ranks { strips: 1, .. })));
 }
 
 #[test]

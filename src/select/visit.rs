@@ -13,20 +13,29 @@
 //! a pass over the footprint has sums for eight candidates at a time.
 //!
 //! Sums run in eight lanes whose order is fixed: the same bytes with any instruction set.
+//!
+//! Pixels are visited cell by cell. A cell is a unit of its job: of a worker that dies, the cell that
+//! it was in is as it was, and those before it are done.
 
 use std::ops::Range;
 
+use perceptile_cluster::shared::{Job, Saver};
+
 use super::footprint::Footprint;
-use super::mixture::{MAX_CANDIDATES, Mixture};
+use super::mixture::{MAX_CANDIDATES, Mixture, UNSET};
+use super::window::Renders;
 use crate::gradient::simd::{Isa, LANES, Vectorized};
 
 /// Columns that are visited at a time, so that what they see stays in the nearest caches.
-const CELL: usize = 64;
+pub(super) const CELL: usize = 64;
 
 type Register = [f32; LANES];
 
 /// What a strip of one frame has in common for both norms. Rows are those of the strip.
 pub(super) struct Strip<'a, const C: usize> {
+    pub job: &'a Job<'a>,
+    /// Called while a cell is half done.
+    pub midway: &'a dyn Fn(),
     pub footprint: &'a Footprint,
     pub mixture: &'a Mixture,
     pub rows: Range<usize>,
@@ -44,21 +53,24 @@ pub(super) struct Strip<'a, const C: usize> {
     pub weights: Vec<&'a [f32]>,
     /// The reference.
     pub guide: [&'a [f32]; C],
-    /// Every render.
-    pub renders: Vec<[&'a [f32]; C]>,
+    /// All renders, and where among them the strip of each begins.
+    pub renders: &'a Renders,
+    pub places: Vec<[usize; C]>,
     /// What is chosen.
     pub current: [&'a mut [f32]; C],
     pub choice: &'a mut [u8],
+    /// Counts the pixels that changed.
+    pub changes: &'a mut [u64],
 }
 
-/// Visits a strip by the squares of errors. Returns how many pixels changed.
+/// Visits a strip by the squares of errors.
 pub(super) struct Squares<'a, const C: usize> {
     pub strip: Strip<'a, C>,
     /// b.
     pub curvature: [&'a [f32]; C],
 }
 
-/// Visits a strip by the magnitudes of errors. Returns how many pixels changed.
+/// Visits a strip by the magnitudes of errors.
 pub(super) struct Magnitudes<'a, const C: usize>(pub Strip<'a, C>);
 
 /// A pixel of a strip.
@@ -68,15 +80,58 @@ struct Pixel {
     index: usize,
     /// Where its footprint begins in the rows of the residual.
     corner: usize,
+    /// Its column in the cell.
+    column: usize,
+}
+
+/// A row of a cell.
+struct Row<const C: usize> {
+    /// The values of every render.
+    renders: Vec<[[f32; CELL]; C]>,
+    /// For the errors of every render at a pixel.
+    errors: Vec<[f32; C]>,
+}
+
+/// What visits pixels.
+trait Visit<'a, const C: usize> {
+    fn strip(&mut self) -> &mut Strip<'a, C>;
+
+    /// Visits a pixel. Returns whether it changes.
+    fn visit(&mut self, pixel: Pixel, row: &mut Row<C>) -> bool;
+}
+
+/// Visits all cells that are not done yet.
+#[inline(always)]
+fn visit_all<'a, const C: usize>(mut visitor: impl Visit<'a, C>) {
+    let strip = visitor.strip();
+    let (job, midway) = (strip.job, strip.midway);
+    let (width, height, stride) = (strip.width, strip.rows.len(), strip.stride);
+    let renders = strip.places.len();
+    let mut row = Row { renders: vec![[[0.0; CELL]; C]; renders], errors: vec![[0.0; C]; renders] };
+    for from in (0..width).step_by(CELL).skip(job.units_done()) {
+        let columns = from..(from + CELL).min(width);
+        let unit = job.reversible(|saver| visitor.strip().save(columns.clone(), saver));
+        let mut changes = 0;
+        for y in 0..height {
+            visitor.strip().read(&mut row.renders, y * width + columns.start, columns.len());
+            for (column, x) in columns.clone().enumerate() {
+                let pixel = Pixel { index: y * width + x, corner: y * stride + x, column };
+                changes += u64::from(visitor.visit(pixel, &mut row));
+            }
+        }
+        midway();
+        visitor.strip().changes[0] += changes;
+        unit.done();
+    }
 }
 
 /// A pixel as it is.
 struct Present<'e, const C: usize> {
     /// The error of each render.
     errors: &'e [[f32; C]],
-    /// The candidate that is chosen.
-    now: usize,
-    /// Its error.
+    /// The candidate that is chosen, if one is.
+    now: Option<usize>,
+    /// Its error; 0 of the reference.
     own: [f32; C],
     /// λ times the pixel's own weight.
     closeness: [f32; C],
@@ -99,29 +154,47 @@ impl<const C: usize> Strip<'_, C> {
         (frame * C, top * self.stride + left)
     }
 
-    /// The cells, from the left: their columns.
-    #[inline(always)]
-    fn cells(&self) -> impl Iterator<Item = Range<usize>> + use<C> {
+    /// Names all that the visit of a cell can change.
+    fn save(&mut self, columns: Range<usize>, saver: &mut Saver<'_>) {
         let width = self.width;
-        (0..width).step_by(CELL).map(move |from| from..(from + CELL).min(width))
+        let seen = columns.start..columns.end + self.footprint.overhang();
+        for plane in &mut self.residual {
+            plane.chunks_exact_mut(self.stride).for_each(|row| saver.save(&mut row[seen.clone()]));
+        }
+        for plane in &mut self.current {
+            plane.chunks_exact_mut(width).for_each(|row| saver.save(&mut row[columns.clone()]));
+        }
+        self.choice.chunks_exact_mut(width).for_each(|row| saver.save(&mut row[columns.clone()]));
+        saver.save(self.changes);
     }
 
-    /// A pixel of a row of the strip.
+    /// Reads a row of a cell of all renders.
     #[inline(always)]
-    fn pixel(&self, x: usize, y: usize) -> Pixel {
-        Pixel { index: y * self.width + x, corner: y * self.stride + x }
+    fn read(&self, row: &mut [[[f32; CELL]; C]], index: usize, columns: usize) {
+        for (row, places) in row.iter_mut().zip(&self.places) {
+            for (row, place) in row.iter_mut().zip(places) {
+                let from = place + index;
+                self.renders.read(from..from + columns, &mut row[..columns]);
+            }
+        }
     }
 
     /// What the visit of a pixel begins with.
     #[inline(always)]
-    fn present<'e>(&self, pixel: Pixel, errors: &'e mut [[f32; C]]) -> Present<'e, C> {
-        for (error, render) in errors.iter_mut().zip(&self.renders) {
+    fn present<'e>(&self, pixel: Pixel, row: &'e mut Row<C>) -> Present<'e, C> {
+        let Row { renders, errors } = row;
+        for (error, render) in errors.iter_mut().zip(renders) {
             for c in 0..C {
-                error[c] = render[c][pixel.index] - self.guide[c][pixel.index];
+                error[c] = render[c][pixel.column] - self.guide[c][pixel.index];
             }
         }
-        let now = usize::from(self.choice[pixel.index]);
-        let own = std::array::from_fn(|c| self.mixture.value(now, |k| errors[k][c]));
+        let errors = &*errors;
+        let choice = self.choice[pixel.index];
+        let now = (choice != UNSET).then_some(usize::from(choice));
+        let own = match now {
+            Some(now) => std::array::from_fn(|c| self.mixture.value(now, |k| errors[k][c])),
+            None => [0.0; C],
+        };
         let (frame, centre) = self.centre();
         let weight = |c: usize| self.weights[frame + c][pixel.corner + centre];
         let closeness = std::array::from_fn(|c| self.lambda * weight(c));
@@ -144,14 +217,20 @@ impl<const C: usize> Strip<'_, C> {
 
     /// Takes a candidate that differs by `change`. `weighted` says whether the residual is w²·r.
     #[inline(always)]
-    fn take(&mut self, pixel: Pixel, candidate: usize, change: [f32; C], weighted: bool) {
+    fn take(
+        &mut self,
+        (pixel, row): (Pixel, &Row<C>),
+        candidate: usize,
+        change: [f32; C],
+        weighted: bool,
+    ) {
         match self.footprint.registers {
             1 => self.spread(pixel, change, weighted, 1),
             registers => self.spread(pixel, change, weighted, registers),
         }
         self.choice[pixel.index] = candidate as u8;
         for c in 0..C {
-            let render = |k: usize| self.renders[k][c][pixel.index];
+            let render = |k: usize| row.renders[k][c][pixel.column];
             self.current[c][pixel.index] = self.mixture.value(candidate, render);
         }
     }
@@ -192,6 +271,28 @@ fn total(register: Register) -> f32 {
     ((a + e) + (c + g)) + ((b + f) + (d + h))
 }
 
+/// Adds a row of w²·r·g to the sums of every channel. A function, as a closure that is not inlined would
+/// be compiled without the vector instructions of its caller.
+#[inline(always)]
+fn add_row<const C: usize>(
+    planes: [&[f32]; C],
+    kernel: &[Register],
+    (row, stride): (usize, usize),
+    registers: usize,
+    sums: &mut [Register; C],
+) {
+    for register in 0..registers {
+        let at = row * stride + register * LANES;
+        let kernel = &kernel[row * registers + register];
+        for c in 0..C {
+            let residual: &Register = planes[c][at..at + LANES].try_into().expect("a register");
+            for lane in 0..LANES {
+                sums[c][lane] += residual[lane] * kernel[lane];
+            }
+        }
+    }
+}
+
 impl<const C: usize> Squares<'_, C> {
     /// a of every channel. Rows of even and odd number have sums of their own, which do not wait for
     /// each other.
@@ -204,42 +305,33 @@ impl<const C: usize> Squares<'_, C> {
             let kernel = strip.footprint.frame(frame);
             let planes: [&[f32]; C] =
                 std::array::from_fn(|c| &strip.residual[i * C + c][pixel.corner..]);
-            let add = |row: usize, sums: &mut [Register; C]| {
-                for register in 0..registers {
-                    let at = row * strip.stride + register * LANES;
-                    let kernel = &kernel[row * registers + register];
-                    for c in 0..C {
-                        let residual: &Register =
-                            planes[c][at..at + LANES].try_into().expect("a register");
-                        for lane in 0..LANES {
-                            sums[c][lane] += residual[lane] * kernel[lane];
-                        }
-                    }
-                }
-            };
             for row in (0..height & !1).step_by(2) {
-                add(row, &mut even);
-                add(row + 1, &mut odd);
+                add_row(planes, kernel, (row, strip.stride), registers, &mut even);
+                add_row(planes, kernel, (row + 1, strip.stride), registers, &mut odd);
             }
             if height % 2 == 1 {
-                add(height - 1, &mut even);
+                add_row(planes, kernel, (height - 1, strip.stride), registers, &mut even);
             }
         }
         std::array::from_fn(|c| total(std::array::from_fn(|lane| even[c][lane] + odd[c][lane])))
     }
 }
 
-impl<const C: usize> Squares<'_, C> {
-    /// Visits a pixel. Returns whether it changes.
+impl<'a, const C: usize> Visit<'a, C> for Squares<'a, C> {
     #[inline(always)]
-    fn visit(&mut self, pixel: Pixel, errors: &mut [[f32; C]]) -> bool {
+    fn strip(&mut self) -> &mut Strip<'a, C> {
+        &mut self.strip
+    }
+
+    #[inline(always)]
+    fn visit(&mut self, pixel: Pixel, row: &mut Row<C>) -> bool {
         let strip = &self.strip;
         // A row of one register is most common, and its loop is none.
         let slope = match strip.footprint.registers {
             1 => self.slope(pixel, 1),
             registers => self.slope(pixel, registers),
         };
-        let present = strip.present(pixel, errors);
+        let present = strip.present(pixel, row);
         let curvature = self.curvature.map(|plane| plane[pixel.index]);
         let mut costs = [0.0; MAX_CANDIDATES];
         for register in 0..strip.mixture.registers() {
@@ -260,39 +352,30 @@ impl<const C: usize> Squares<'_, C> {
             return false;
         };
         let change = present.change(strip.mixture, best);
-        self.strip.take(pixel, best, change, true);
+        self.strip.take((pixel, row), best, change, true);
         true
     }
 }
 
 impl<const C: usize> Vectorized for Squares<'_, C> {
-    type Output = u64;
+    type Output = ();
 
     #[inline(always)]
-    fn run<I: Isa>(mut self, _: I) -> u64 {
-        let mut errors = vec![[0.0; C]; self.strip.renders.len()];
-        let mut changes = 0;
-        for columns in self.strip.cells() {
-            for y in 0..self.strip.rows.len() {
-                for x in columns.clone() {
-                    changes += u64::from(self.visit(self.strip.pixel(x, y), &mut errors));
-                }
-            }
-        }
-        changes
+    fn run<I: Isa>(self, _: I) {
+        visit_all(self);
     }
 }
 
-/// The candidate with the least cost, if that is less than the present one's 0.
+/// The candidate with the least cost, if that is less than the present one's 0 or there is none.
 #[inline(always)]
-fn least(costs: &[f32], now: usize) -> Option<usize> {
-    let mut best = (0.0, now);
+fn least(costs: &[f32], now: Option<usize>) -> Option<usize> {
+    let mut best = now.map_or((costs[0], 0), |now| (0.0, now));
     for (candidate, &cost) in costs.iter().enumerate() {
         if cost < best.0 {
             best = (cost, candidate);
         }
     }
-    (best.1 != now).then_some(best.1)
+    (Some(best.1) != now).then_some(best.1)
 }
 
 impl<const C: usize> Magnitudes<'_, C> {
@@ -329,12 +412,16 @@ impl<const C: usize> Magnitudes<'_, C> {
     }
 }
 
-impl<const C: usize> Magnitudes<'_, C> {
-    /// Visits a pixel. Returns whether it changes.
+impl<'a, const C: usize> Visit<'a, C> for Magnitudes<'a, C> {
     #[inline(always)]
-    fn visit(&mut self, pixel: Pixel, errors: &mut [[f32; C]]) -> bool {
+    fn strip(&mut self) -> &mut Strip<'a, C> {
+        &mut self.0
+    }
+
+    #[inline(always)]
+    fn visit(&mut self, pixel: Pixel, row: &mut Row<C>) -> bool {
         let strip = &self.0;
-        let present = strip.present(pixel, errors);
+        let present = strip.present(pixel, row);
         let mut costs = [0.0; MAX_CANDIDATES];
         for register in 0..strip.mixture.registers() {
             let values = strip.errors(register, present.errors);
@@ -352,31 +439,24 @@ impl<const C: usize> Magnitudes<'_, C> {
             costs[register * LANES..][..LANES].copy_from_slice(&sum);
         }
         let costs = &mut costs[..strip.mixture.candidates()];
-        let before = costs[present.now];
-        costs.iter_mut().for_each(|cost| *cost -= before);
+        if let Some(now) = present.now {
+            let before = costs[now];
+            costs.iter_mut().for_each(|cost| *cost -= before);
+        }
         let Some(best) = least(costs, present.now) else {
             return false;
         };
         let change = present.change(strip.mixture, best);
-        self.0.take(pixel, best, change, false);
+        self.0.take((pixel, row), best, change, false);
         true
     }
 }
 
 impl<const C: usize> Vectorized for Magnitudes<'_, C> {
-    type Output = u64;
+    type Output = ();
 
     #[inline(always)]
-    fn run<I: Isa>(mut self, _: I) -> u64 {
-        let mut errors = vec![[0.0; C]; self.0.renders.len()];
-        let mut changes = 0;
-        for columns in self.0.cells() {
-            for y in 0..self.0.rows.len() {
-                for x in columns.clone() {
-                    changes += u64::from(self.visit(self.0.pixel(x, y), &mut errors));
-                }
-            }
-        }
-        changes
+    fn run<I: Isa>(self, _: I) {
+        visit_all(self);
     }
 }

@@ -189,7 +189,11 @@ fn what_is_wrong_is_said_once_by_the_first_rank() {
         (format!("{PLAIN} --workers 2"), 2, "--workers"),
         ("resume nowhere.run".into(), 1, "nowhere.run"),
         (format!("{PLAIN} --out no/such/folder.npy"), 1, "no/such"),
-        ("evaluate tile.npy --kernel gaussian(1)@3x3x1".into(), 2, "only `optimize` and `resume`"),
+        (
+            "evaluate tile.npy --kernel gaussian(1)@3x3x1".into(),
+            2,
+            "only `optimize`, `resume` and `select`",
+        ),
     ] {
         let ended = run(&room, 5, &line);
         assert_eq!(ended.code(), Some(code), "{ended:?}");
@@ -199,6 +203,66 @@ fn what_is_wrong_is_said_once_by_the_first_rank() {
     let ended = run(&room, 2, &format!("optimize {small}"));
     assert_eq!(ended.code(), Some(3), "{ended:?}");
     once(&ended, "--force");
+}
+
+#[test]
+fn ranks_choose_what_one_process_chooses() {
+    let room = Room::new();
+    let [frames, height, width] = [50, 61, 20];
+    for (name, factor) in [("reference", 0_u32), ("a", 7), ("b", 11), ("c", 13)] {
+        let value = |i: u32| 0.3 + 0.02 * (i * factor * factor % 31) as f32;
+        let mut bytes = Vec::new();
+        perceptile::array::write_header(&[frames, height, width], &mut bytes).unwrap();
+        let values = (0..(frames * height * width) as u32).map(value);
+        bytes.extend(values.flat_map(f32::to_le_bytes));
+        std::fs::write(room.at(&format!("{name}.npy")), bytes).unwrap();
+    }
+    let line = "select --reference reference.npy --candidates a.npy b.npy c.npy --subsets --sweeps 5 \
+                --kernel gaussian(1)*fovvideovdp(60)@3x3x3 --taa 0.5 --threads 1";
+    run(&room, 1, &format!("{line} --out one.npy")).succeeded();
+    for ranks in 2..=4 {
+        run(&room, ranks, &format!("{line} --out more.npy --force")).succeeded();
+        assert!(room.read("more.npy") == room.read("one.npy"), "{ranks} ranks");
+        let scores = |name| {
+            let report: serde_json::Value = serde_json::from_slice(&room.read(name)).unwrap();
+            ["scores", "chosen", "sweeps"].map(|field| report[field].clone())
+        };
+        assert_eq!(scores("more.json"), scores("one.json"));
+    }
+    // What keeps the root from going on ends all: a frame that is none, after a state is kept.
+    let broken = room.at("b.npy");
+    let whole = std::fs::read(&broken).unwrap();
+    let modified = std::fs::metadata(&broken).unwrap().modified().unwrap();
+    let put = |bytes: &[u8]| {
+        std::fs::write(&broken, bytes).unwrap();
+        std::fs::File::options()
+            .append(true)
+            .open(&broken)
+            .unwrap()
+            .set_modified(modified)
+            .unwrap();
+    };
+    let mut bytes = whole.clone();
+    let last = bytes.len() - 4;
+    bytes[last..].copy_from_slice(&f32::NAN.to_le_bytes());
+    put(&bytes);
+    let failed = run(&room, 3, &format!("{line} --out more.npy --force"));
+    assert!(failed.error.contains("b.npy has the value NaN at pixel (19, 60)"), "{failed:?}");
+    assert_eq!((failed.code(), failed.error.matches("error:").count()), (Some(1), 1));
+    put(&whole);
+    std::fs::remove_file(room.at("more.npy")).unwrap();
+    let done = run(&room, 2, &format!("{line} --out more.npy --progress lines")).succeeded();
+    assert!(done.error.contains("going on behind frame"), "{done:?}");
+    assert!(room.read("more.npy") == room.read("one.npy"));
+    // Too many, and ranks with workers.
+    for (more, words) in [("", "9 ranks are too many"), ("--workers 2", "--workers")] {
+        let ended = run(&room, 9, &format!("{line} --out other.npy {more}"));
+        assert_eq!(ended.code(), Some(2), "{ended:?}");
+        assert!(
+            ended.error.matches("error:").count() == 1 && ended.error.contains(words),
+            "{ended:?}"
+        );
+    }
 }
 
 #[test]

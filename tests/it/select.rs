@@ -263,7 +263,9 @@ fn a_stopped_selection_goes_on_with_the_same_command() {
     let other = perceptile().args(line(&part, &["--norm", "l1"])).output().unwrap();
     assert_eq!(other.status.code(), Some(3));
     assert!(String::from_utf8(other.stderr).unwrap().contains("--force gives it up"));
-    let done = perceptile().args(line(&part, &["--progress", "lines"])).output().unwrap();
+    // Whoever does it.
+    let workers = ["--progress", "lines", "--workers", "2"];
+    let done = perceptile().args(line(&part, &workers)).output().unwrap();
     assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
     assert!(String::from_utf8(done.stderr).unwrap().contains("going on behind frame 29"));
     assert_eq!(fs::read(&whole).unwrap(), fs::read(&part).unwrap());
@@ -310,6 +312,87 @@ fn an_interrupted_selection_goes_on_from_wherever_it_was() {
     assert!(!state.exists());
 }
 
+/// A folder with an animation of many strips, long enough for a state, and the arguments to choose from
+/// it.
+fn tall() -> (tempfile::TempDir, impl Fn(&str, &str) -> Vec<String>) {
+    const TALL: [usize; 3] = [40, 61, 20];
+    let folder = tempfile::tempdir().unwrap();
+    for (number, name) in NPY.into_iter().enumerate() {
+        let noise = if number == 0 { 0.0 } else { 0.5 };
+        let [frames, height, width] = TALL;
+        let shape = [frames, height, width, 3];
+        write_npy(&folder.path().join(name), &shape, &values(number as u32, TALL, noise));
+    }
+    let path = folder.path().to_owned();
+    let line = move |out: &str, further: &str| {
+        let out = path.join(out).to_str().unwrap().to_owned();
+        let kernel = "gaussian(1) * fovvideovdp(60) @ 3x3x3";
+        let own = ["--kernel", kernel, "--sweeps", "5", "--subsets", "--out", &out];
+        let further: Vec<&str> = further.split_whitespace().collect();
+        arguments(&path, NPY, &[&own[..], &further].concat())
+    };
+    (folder, line)
+}
+
+#[test]
+fn workers_choose_the_same_whatever_becomes_of_them() {
+    let (folder, line) = tall();
+    let read = |name: &str| fs::read(folder.path().join(name)).unwrap();
+    let run = |line: Vec<String>| {
+        let done = perceptile().args(line).output().unwrap();
+        assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    };
+    let counts = |name: &str| {
+        let report: Value = serde_json::from_slice(&read(name)).unwrap();
+        let replaced = report["replaced"].as_u64().unwrap();
+        (["scores", "chosen", "sweeps"].map(|field| report[field].clone()), replaced)
+    };
+    for norm in ["l2", "l1"] {
+        run(line("one.npy", &format!("--norm {norm} --threads 1 --force")));
+        let expected = (read("one.npy"), counts("one.json").0);
+        let calm =
+            ["--workers 1 --threads 1", "--workers 3 --threads 1", "--workers 2 --threads 2"];
+        for workers in calm {
+            run(line("more.npy", &format!("--norm {norm} {workers} --force")));
+            let (found, replaced) = counts("more.json");
+            assert!((read("more.npy"), found) == expected, "{norm} {workers}");
+            assert_eq!(replaced, 0);
+        }
+        // Workers die and hang wherever chance has them.
+        let mut lost = 0;
+        let wild = [
+            "--workers 3 --threads 1 --faults 10ms,0.1",
+            "--workers 4 --threads 2 --faults 5ms,0.05",
+            "--workers 1 --threads 1 --faults 20ms,0.1",
+        ];
+        let mut runs = wild.into_iter().cycle().take(90);
+        while lost < 60 {
+            let workers = runs.next().expect("workers that fail");
+            let rest = "--silence 0.3s --replacements 100000 --force";
+            run(line("more.npy", &format!("--norm {norm} {workers} {rest}")));
+            let (found, replaced) = counts("more.json");
+            assert!((read("more.npy"), found) == expected, "{norm} {workers}");
+            lost += replaced;
+        }
+    }
+}
+
+#[test]
+fn too_many_lost_workers_leave_what_goes_on() {
+    let (folder, line) = tall();
+    let run = |more: &str| perceptile().args(line("more.npy", more)).output().unwrap();
+    // Each lives for two milliseconds at most, and has more to do.
+    let lost = run("--workers 2 --threads 1 --faults 1ms,0 --replacements 3");
+    let message = String::from_utf8(lost.stderr).unwrap();
+    assert_eq!(lost.status.code(), Some(5), "{message}");
+    assert!(message.contains("4 workers were lost, the last because it was ended by SIGKILL"));
+    assert!(!folder.path().join("more.npy").exists());
+    assert!(run("--workers 2").status.success());
+    assert!(perceptile().args(line("one.npy", "")).output().unwrap().status.success());
+    let read = |name: &str| fs::read(folder.path().join(name)).unwrap();
+    assert_eq!(read("more.npy"), read("one.npy"));
+}
+
 #[test]
 fn levels_are_the_two_nearest_and_less_error_is_seen_than_of_noise() {
     let folder = tempfile::tempdir().unwrap();
@@ -325,6 +408,19 @@ fn levels_are_the_two_nearest_and_less_error_is_seen_than_of_noise() {
     let line = ["select", "--levels", "64", "--transfer", "linear", "--reference"];
     let done = perceptile().args(line).args([&path, Path::new("--out"), &out]).output().unwrap();
     assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    // Workers take the channels of a colour picture in turns.
+    let colours = folder.path().join("colours.npy");
+    write_npy(&colours, &[frames, height, width, 3], &values(3, [frames, height, width], 0.0));
+    let both = [("e", "--workers"), ("f", "--threads")].map(|(name, who)| {
+        let out = folder.path().join(format!("{name}.##.png"));
+        let mut command = perceptile();
+        command.args(line).args([&colours, Path::new("--out"), &out]).args([who, "3"]);
+        let done = command.output().unwrap();
+        assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+        let file = |frame| fs::read(folder.path().join(format!("{name}.{frame:02}.png"))).unwrap();
+        (0..frames).map(file).collect::<Vec<_>>()
+    });
+    assert_eq!(both[0], both[1]);
     for frame in 0..frames {
         let file = fs::File::open(folder.path().join(format!("d.{frame:02}.png"))).unwrap();
         let mut reader = png::Decoder::new(std::io::BufReader::new(file)).read_info().unwrap();
@@ -378,7 +474,7 @@ fn what_is_wrong_is_named_and_nothing_is_written() {
     );
     check(EXR, &["--taa", "2"], 2, "is 2, but it must be above 0");
     check(EXR, &["--kernel", "gaussian(2) * ema(0.2)"], 2, "leave ema out of --kernel");
-    check(EXR, &["--workers", "2"], 2, "leave out --workers");
+    check(EXR, &["--pin"], 2, "--pin is for worker processes");
     check(EXR, &["--levels", "64"], 2, "cannot be used with");
     let done = perceptile()
         .args(arguments(folder.path(), EXR, &["--out", inside("out.exr").to_str().unwrap()]))

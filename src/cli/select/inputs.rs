@@ -118,15 +118,15 @@ impl Inputs {
         Ok(Self { candidates, guide, names, is_true, subsets: args.subsets, display })
     }
 
-    /// The size of what one engine works on: with levels, a channel of its own.
+    /// The size of what one selection works on: with levels, a channel of its own.
     pub fn shape(&self) -> Result<AnimationShape, Failure> {
         let [width, height] = self.guide.size();
         let channels = if self.display.is_some() { 1 } else { self.guide.channels() };
         Ok(AnimationShape::new(width, height, self.guide.frames(), channels)?)
     }
 
-    /// How many engines there are.
-    pub fn engines(&self) -> usize {
+    /// How many selections there are.
+    pub fn selections(&self) -> usize {
         if self.display.is_some() { self.guide.channels() } else { 1 }
     }
 
@@ -135,7 +135,12 @@ impl Inputs {
         if self.display.is_some() { (2, false) } else { (self.candidates.len(), self.subsets) }
     }
 
-    /// What each engine gets of a frame.
+    /// Whether all values of renders are those of half floats.
+    pub fn are_half(&self) -> bool {
+        self.display.is_none() && self.candidates.iter().all(Animation::is_half)
+    }
+
+    /// What each selection gets of a frame.
     ///
     /// # Errors
     /// A file that cannot be read.

@@ -1,124 +1,196 @@
-//! A selection from files to files: frames are read ahead by a thread, engines choose, frames are
+//! A selection from files to files: frames are read ahead by a thread, hands choose, frames are
 //! written.
 
+use std::path::Path;
 use std::process::ExitCode;
-use std::sync::mpsc;
+use std::sync::{Arc, mpsc};
 use std::thread;
 use std::time::Instant;
 
 use perceptile::format::animation::{Animation, AnimationError};
 use perceptile::gradient::simd::Simd;
 use perceptile::run::memory;
-use perceptile::select::{Filters, Frame, SelectOptions, SelectState, Selection, foreseen};
+use perceptile::run::signals::Signals;
+use perceptile::select::{Frame, SelectPlan, SelectState};
+use perceptile_cluster::communicator::Communicator;
+use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 use super::SelectArgs;
+use super::hands::Hands;
 use super::inputs::Inputs;
 use super::outputs::{Claimed, Outputs};
 use super::progress::Progress;
 use super::summary::{self, Seconds};
-use crate::cli::execution;
 use crate::cli::exit::{Failure, Misuse};
 use crate::cli::stream::{say, show};
+use crate::cli::{execution, ranks};
 
-/// Frames that are read before they are asked for.
-const AHEAD: usize = 1;
-/// Bytes that reading, writing and the program itself take besides.
+/// Bytes that reading, writing and the program itself take besides, and what a worker takes for itself.
 const FIXED: u64 = 64 << 20;
+const OF_WORKER: u64 = 16 << 20;
 
 /// What is to be done.
-pub struct Job<'a> {
-    pub inputs: &'a Inputs,
-    pub filters: &'a Filters,
-    pub options: SelectOptions,
-    pub threads: usize,
+pub struct Job {
+    pub inputs: Inputs,
+    pub plan: SelectPlan,
     pub simd: Simd,
 }
 
-/// A frame of all engines, and how long it took to read.
+/// What other ranks have to know of it.
+#[derive(Debug, Serialize, Deserialize)]
+struct Brief {
+    plan: SelectPlan,
+    selections: usize,
+}
+
+/// A frame of all selections, and how long it took to read.
 type Read = Result<(Vec<Frame>, f64), AnimationError>;
 
-impl Job<'_> {
+/// Does what the root has prepared, if there is something, with all ranks, and says what came out.
+///
+/// # Errors
+/// What `prepared` says, and whatever keeps it from being done.
+pub fn run(
+    args: &SelectArgs,
+    prepared: Result<Option<(Job, Outputs)>, Failure>,
+    communicator: &Arc<dyn Communicator>,
+) -> Result<ExitCode, Failure> {
+    let brief = match &prepared {
+        Ok(job) => Ok(job.as_ref().map(|(job, _)| job.brief())),
+        Err(failure) => Err(failure.code()),
+    };
+    ranks::tell(&**communicator, &brief)?;
+    let Some((job, outputs)) = prepared? else { return Ok(ExitCode::SUCCESS) };
+    let pool = || Ok(execution::pool(args.execution.threads()?)?);
+    let pool = ranks::agree(&**communicator, pool())?;
+    // Workers end with the thread that starts them, which is one of the pool's.
+    pool.install(|| job.run(args, outputs, communicator))
+}
+
+/// Does the part of another rank than the root.
+///
+/// # Errors
+/// What keeps this rank from it, or what the root has reported.
+pub fn follow(
+    args: &SelectArgs,
+    communicator: &Arc<dyn Communicator>,
+) -> Result<ExitCode, Failure> {
+    // The root decides when to stop; a launcher sends signals to all.
+    let _signals = Signals::install(|_| ()).map_err(Failure::refused("cannot listen for signals"));
+    let Some(Brief { plan, selections }) = ranks::hear(&**communicator)? else {
+        return Ok(ExitCode::SUCCESS);
+    };
+    let ready = || -> Result<_, Failure> {
+        let threads = args.execution.threads()?;
+        memory::check_bytes((plan.foreseen()?.0 as u64).saturating_mul(selections as u64))?;
+        Ok((execution::pool(threads)?, plan.with_threads(threads)))
+    };
+    let (pool, plan) = ranks::agree(&**communicator, ready())?;
+    pool.install(|| {
+        let what = (&plan, selections);
+        let mut hands =
+            Hands::new(args, what, args.execution.simd(), Path::new("."), communicator)?;
+        hands.follow()?;
+        Ok(ExitCode::SUCCESS)
+    })
+}
+
+impl Job {
+    fn brief(&self) -> Brief {
+        Brief { plan: self.plan.clone(), selections: self.inputs.selections() }
+    }
+
     /// Bytes of memory that it takes, and frames of the window.
     ///
     /// # Errors
-    /// Options out of range.
-    pub fn foreseen(&self) -> Result<(u64, usize), Failure> {
-        let shape = self.inputs.shape()?;
-        let (renders, subsets) = self.inputs.renders();
-        let candidates = (renders, subsets);
-        let (bytes, frames) =
-            foreseen(shape, self.filters, candidates, &self.options, self.threads)?;
-        let engines = self.inputs.engines() as u64;
-        // Frames on their way: as they are read, decoded and waiting; and the one that is written.
-        let frame = (4 * shape.values() * (renders + 1)) as u64;
-        let on_the_way = frame.saturating_mul(AHEAD as u64 + 3);
-        Ok(((bytes as u64 + on_the_way).saturating_mul(engines).saturating_add(FIXED), frames))
+    /// A kernel that is too large.
+    pub fn foreseen(&self, args: &SelectArgs) -> Result<(u64, usize), Failure> {
+        let (bytes, frames) = self.plan.foreseen()?;
+        let selections = self.inputs.selections() as u64;
+        // Frames on their way: one that is read, with a file of it as it is decoded, one that is taken
+        // in, and one that is written.
+        let (renders, _) = self.inputs.renders();
+        let frame = (4 * self.inputs.shape()?.values()) as u64;
+        let on_the_way = frame.saturating_mul(2 * (renders as u64 + 1) + 5);
+        let all = (bytes as u64).saturating_add(on_the_way).saturating_mul(selections);
+        let workers = OF_WORKER * args.execution.workers as u64;
+        Ok((all.saturating_add(FIXED + workers), frames))
     }
 
     /// Checks that there is so much memory.
     ///
     /// # Errors
     /// If there is not.
-    pub fn check_memory(&self) -> Result<(), Failure> {
-        Ok(memory::check_bytes(self.foreseen()?.0)?)
+    pub fn check_memory(&self, args: &SelectArgs) -> Result<(), Failure> {
+        Ok(memory::check_bytes(self.foreseen(args)?.0)?)
     }
 
     /// What is about to be done.
     ///
     /// # Errors
-    /// Options out of range.
-    pub fn intent(&self, outputs: &Outputs) -> Result<String, Failure> {
-        let needed = self.foreseen()?;
-        Ok(summary::intent(self.inputs, &self.options, self.threads, needed, outputs))
+    /// A kernel that is too large.
+    pub fn intent(&self, args: &SelectArgs, outputs: &Outputs) -> Result<String, Failure> {
+        let needed = self.foreseen(args)?;
+        Ok(summary::intent(&self.inputs, &self.plan, needed, outputs))
     }
 
-    /// Does it, and says what came out.
-    ///
-    /// # Errors
-    /// Whatever keeps it from being done.
-    pub fn run(&self, args: &SelectArgs, outputs: Outputs) -> Result<ExitCode, Failure> {
-        self.check_memory()?;
-        let intent = self.intent(&outputs)?;
-        let pool = execution::pool(self.threads)?;
-        pool.install(|| {
-            let (renders, shape) = (self.inputs.renders(), self.inputs.shape()?);
-            let engine = || Selection::new(shape, self.filters, renders, &self.options, self.simd);
-            let mut engines: Vec<Selection> =
-                (0..self.inputs.engines()).map(|_| engine()).collect::<Result<_, _>>()?;
+    fn run(
+        &self,
+        args: &SelectArgs,
+        outputs: Outputs,
+        communicator: &Arc<dyn Communicator>,
+    ) -> Result<ExitCode, Failure> {
+        let intent = self.intent(args, &outputs)?;
+        let folder = outputs.scores.parent().filter(|folder| !folder.as_os_str().is_empty());
+        let folder = folder.unwrap_or(Path::new("."));
+        let what = (&self.plan, self.inputs.selections());
+        let mut hands = Hands::new(args, what, self.simd, folder, communicator)?;
+        let mut claimed = None;
+        let work = || -> Result<Result<summary::Report, u8>, Failure> {
             // From here on there are files that a signal must not leave behind.
-            let mut progress = Progress::open(args.progress, shape.frames())
+            let mut progress = Progress::open(args.progress, self.inputs.guide.frames())
                 .map_err(Failure::refused("cannot listen for signals"))?;
-            let (mut claimed, kept) = outputs.claim(self.digest(args)?)?;
+            let (now, kept) = outputs.claim(self.digest(args)?)?;
+            let claimed = claimed.insert(now);
             let done = kept.first().map_or(0, SelectState::done);
-            for (engine, state) in engines.iter_mut().zip(kept) {
-                engine.restore(state)?;
-            }
+            hands.restore(kept)?;
             progress.begin(intent.trim_end(), done);
-            match self.go_on(args, engines, &mut claimed, &mut progress) {
-                Ok(Some(report)) => self.finish(args, claimed, &report),
-                Ok(None) => Ok(ExitCode::from(progress.received().unwrap_or(1) as u8)),
-                Err(failure) => {
-                    claimed.abandon();
-                    Err(failure)
-                }
+            self.go_on(args, &mut hands, claimed, &mut progress)
+        };
+        match work() {
+            Ok(Ok(mut report)) => {
+                report.replaced = hands.end(None)?;
+                self.finish(args, claimed.expect("outputs"), &report)
             }
-        })
+            Ok(Err(code)) => {
+                hands.end(Some(code))?;
+                Ok(ExitCode::from(code))
+            }
+            Err(failure) => {
+                if let Some(claimed) = claimed {
+                    claimed.abandon();
+                }
+                hands.end(Some(failure.code()))?;
+                Err(failure)
+            }
+        }
     }
 
-    /// Goes on until all frames are done, or nothing if a signal comes before.
+    /// Goes on until all frames are done, or a signal comes, whose exit code it gives.
     fn go_on(
         &self,
         args: &SelectArgs,
-        mut engines: Vec<Selection>,
+        hands: &mut Hands,
         claimed: &mut Claimed,
         progress: &mut Progress,
-    ) -> Result<Option<summary::Report>, Failure> {
+    ) -> Result<Result<summary::Report, u8>, Failure> {
         let start = Instant::now();
         let mut seconds = Seconds::default();
-        let first = engines[0].needed().start;
+        let first = hands.selections()[0].needed().start;
         thread::scope(|scope| {
-            let (sender, frames) = mpsc::sync_channel::<Read>(AHEAD);
+            // One frame waits while another is read: what waits takes memory.
+            let (sender, frames) = mpsc::sync_channel::<Read>(0);
             scope.spawn(move || {
                 for frame in first..self.inputs.guide.frames() {
                     let start = Instant::now();
@@ -132,48 +204,43 @@ impl Job<'_> {
             });
             let mut more = true;
             while more {
-                if progress.received().is_some() {
+                if let Some(code) = progress.received() {
                     progress.clear();
-                    return Ok(None);
+                    return Ok(Err(code as u8));
                 }
-                let states: Option<Vec<_>> = engines.iter().map(Selection::state).collect();
-                if let Some(states) = states {
+                if let Some(states) = hands.states()? {
                     claimed.keep(states)?;
                 }
-                while !engines[0].needed().is_empty() {
+                while !hands.selections()[0].needed().is_empty() {
                     let waiting = Instant::now();
                     let read = frames.recv().expect("as many frames as there are");
                     seconds.waiting += waiting.elapsed().as_secs_f64();
                     let (frame, reading) = read?;
                     seconds.reading += reading;
-                    for (engine, frame) in engines.iter_mut().zip(&frame) {
-                        engine.load(frame);
-                    }
+                    hands.load(&frame)?;
                 }
                 let sweeping = Instant::now();
                 let mut result = None;
                 let (mut pictures, mut choices) = (Vec::new(), Vec::new());
-                for engine in &mut engines {
-                    more = engine.advance(|frame, picture, chosen| {
-                        result = Some(frame);
-                        pictures.push(picture.to_vec());
-                        choices.push(chosen.to_vec());
-                    });
-                }
+                more = hands.advance(progress, |frame, picture, chosen| {
+                    result = Some(frame);
+                    pictures.push(picture.to_vec());
+                    choices.push(chosen.to_vec());
+                })?;
                 seconds.sweeps += sweeping.elapsed().as_secs_f64();
                 if let Some(frame) = result {
                     let writing = Instant::now();
-                    claimed.frame(frame, &pictures, &choices, self.inputs)?;
+                    claimed.frame(frame, &pictures, &choices, &self.inputs)?;
                     seconds.writing += writing.elapsed().as_secs_f64();
                     progress.done(frame + 1);
                 }
             }
             progress.clear();
             seconds.all = start.elapsed().as_secs_f64();
-            Ok(Some(summary::Report::new(
-                (self.inputs, &self.options),
+            Ok(Ok(summary::Report::new(
+                (&self.inputs, &self.plan),
                 args,
-                &engines,
+                (hands.selections(), hands.sweeps()?),
                 seconds,
                 claimed.outputs(),
             )))
@@ -199,7 +266,7 @@ impl Job<'_> {
     fn digest(&self, args: &SelectArgs) -> Result<String, Failure> {
         let mut hash = Sha256::new();
         let settings = (
-            (env!("CARGO_PKG_VERSION"), &self.options, args.eye()?.to_string(), args.taa),
+            (env!("CARGO_PKG_VERSION"), args.options(), args.eye()?.to_string(), args.taa),
             (self.inputs.subsets, args.levels, args.transfer, self.inputs.is_true),
             (&self.inputs.names, self.inputs.guide.frames(), self.inputs.guide.size()),
         );

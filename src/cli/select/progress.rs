@@ -91,6 +91,11 @@ impl Progress {
         }
     }
 
+    /// Something out of the ordinary, in words.
+    pub fn report(&self, message: &str) {
+        self.display.report(message);
+    }
+
     /// Takes the bar away.
     pub fn clear(&self) {
         self.display.clear();

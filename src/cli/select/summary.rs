@@ -1,10 +1,13 @@
 //! What a selection says before it begins, and its scores.
 
 use perceptile::metric::figure;
-use perceptile::select::{MethodScores, Norm, SelectOptions, SelectScores, Selection};
+use perceptile::select::{
+    MethodScores, Norm, SelectParallelism, SelectPlan, SelectScores, Selection,
+};
 use serde::Serialize;
 
 use super::SelectArgs;
+use super::hands::Swept;
 use super::inputs::Inputs;
 use super::outputs::Outputs;
 use crate::cli::duration::in_words;
@@ -48,7 +51,10 @@ pub struct Report {
     /// How often each candidate was chosen, by the numbers of its renders.
     chosen: Vec<(String, u64)>,
     /// λ and changed pixels of each sweep.
-    sweeps: Vec<(f32, u64)>,
+    sweeps: Swept,
+    parallelism: SelectParallelism,
+    /// Workers that were lost and replaced.
+    pub replaced: u32,
     seconds: Seconds,
     /// Pixels of all frames, times sweeps, in a second of sweeping.
     pixels_per_second: f64,
@@ -57,8 +63,7 @@ pub struct Report {
 /// What is about to be done, in so many bytes of memory and frames of a window.
 pub fn intent(
     inputs: &Inputs,
-    options: &SelectOptions,
-    threads: usize,
+    plan: &SelectPlan,
     (bytes, window): (u64, usize),
     outputs: &Outputs,
 ) -> String {
@@ -74,8 +79,9 @@ pub fn intent(
             format!("{candidates} candidate{}{means}", if candidates == 1 { "" } else { "s" })
         }
     };
+    let options = plan.options();
     format!(
-        "{width}x{height}, {frames} frame{}: {what}, {} sweeps in {}, on {} thread{}\n\
+        "{width}x{height}, {frames} frame{}: {what}, {} sweeps in {}, on {}\n\
          window     {window} frames, about {} of memory\n\
          result     {}\n",
         if frames == 1 { "" } else { "s" },
@@ -84,30 +90,48 @@ pub fn intent(
             Norm::L1 => "L1",
             Norm::L2 => "L2",
         },
-        threads,
-        if threads == 1 { "" } else { "s" },
+        hands(plan.parallelism()),
         perceptile::run::memory::size(bytes),
         outputs.result.display(),
     )
 }
 
+/// Who works, in words.
+fn hands(parallelism: SelectParallelism) -> String {
+    let many = |count: usize, what: &str| match count {
+        1 => format!("1 {what}"),
+        _ => format!("{count} {what}s"),
+    };
+    let threads = many(parallelism.threads, "thread");
+    match parallelism {
+        SelectParallelism { ranks: 1, workers: 0, .. } => threads,
+        SelectParallelism { ranks: 1, workers, .. } => {
+            format!("{} of {threads}", many(workers, "worker"))
+        }
+        SelectParallelism { ranks, .. } => format!("{} of {threads}", many(ranks, "rank")),
+    }
+}
+
 impl Report {
     pub fn new(
-        (inputs, options): (&Inputs, &SelectOptions),
+        (inputs, plan): (&Inputs, &SelectPlan),
         args: &SelectArgs,
-        engines: &[Selection],
+        (selections, swept): (&[Selection], Vec<Swept>),
         seconds: Seconds,
         outputs: &Outputs,
     ) -> Self {
         let [width, height] = inputs.guide.size();
         let frames = inputs.guide.frames();
-        let visits = (width * height * frames * engines.len()) as f64 * f64::from(options.sweeps);
-        let scores: Vec<SelectScores> = engines.iter().map(Selection::scores).collect();
+        let options = plan.options();
+        let visits =
+            (width * height * frames * selections.len()) as f64 * f64::from(options.sweeps);
+        let scores: Vec<SelectScores> = selections.iter().map(Selection::scores).collect();
         let sum = |counts: Vec<Vec<u64>>| -> Vec<u64> {
             (0..counts[0].len()).map(|i| counts.iter().map(|of| of[i]).sum()).collect()
         };
-        let chosen = sum(engines.iter().map(|e| e.chosen().map(|(_, n)| n).collect()).collect());
-        let changed = sum(engines.iter().map(|e| e.sweeps().map(|(_, n)| n).collect()).collect());
+        let chosen =
+            sum(selections.iter().map(|of| of.chosen().map(|(_, n)| n).collect()).collect());
+        let changed = sum(swept.iter().map(|of| of.iter().map(|&(_, n)| n).collect()).collect());
         let guide_error = if inputs.display.is_none() { guide_error(&scores[0]) } else { None };
         Self {
             version: env!("CARGO_PKG_VERSION"),
@@ -121,9 +145,11 @@ impl Report {
             against: if inputs.is_true { "reference" } else { "guide" },
             inputs: inputs.names.iter().map(|name| name.display().to_string()).collect(),
             guide_error: guide_error.filter(|_| !inputs.is_true),
-            chosen: engines[0].chosen().map(|(name, _)| name).zip(chosen).collect(),
-            sweeps: engines[0].sweeps().map(|(lambda, _)| lambda).zip(changed).collect(),
+            chosen: selections[0].chosen().map(|(name, _)| name).zip(chosen).collect(),
+            sweeps: swept[0].iter().map(|&(lambda, _)| lambda).zip(changed).collect(),
             scores,
+            parallelism: plan.parallelism(),
+            replaced: 0,
             seconds,
             pixels_per_second: visits / seconds.sweeps.max(1e-9),
         }

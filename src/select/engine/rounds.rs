@@ -1,100 +1,45 @@
-//! The rounds of a wave: what threads do with the strips of a frame.
+//! The rounds of a wave: what the threads of all workers do with the strips of a frame.
 //!
-//! A frame that comes in starts with its closest candidates. When the frames around it are there, its
-//! weights and its residual are made, and its curvature before the first visit. Sweeps visit its pixels,
-//! and in the end it is scored.
+//! When the frames around it are there, a frame's weights and its residual are made, and its curvature
+//! before the first visit. Sweeps visit its pixels, and in the end it is scored.
 
 use std::ops::Range;
-use std::sync::atomic::{AtomicU64, Ordering};
 
 use perceptile_cluster::Ends;
 
-use super::Selection;
+use super::Engine;
+use crate::select::faults;
 use crate::select::filter::{Border, FilterScratch};
 use crate::select::options::Norm;
 use crate::select::score::{Scored, strip_sums};
 use crate::select::sources::{Method, Shares, Weights};
-use crate::select::strips::COLOURS;
+use crate::select::strips::{COLOURS, Strips};
 use crate::select::visit::{Magnitudes, Squares, Strip};
 
 /// What pRelMSE adds to the squared reference.
 const FLOOR: f32 = 0.01;
 
-impl Selection {
-    fn next_round(&mut self) -> u64 {
+impl Engine {
+    /// The number of the next round, unless others have done all of it.
+    fn next_round(&mut self) -> Option<u64> {
         self.round += 1;
-        self.round
-    }
-
-    /// Chooses the candidates of a new frame that are closest to the reference.
-    pub(super) fn start(&mut self, frame: usize) {
-        let round = self.next_round();
-        let Self { plan, worker, window, mixture, .. } = self;
-        let channels = plan.shape.channels();
-        let strips = || (0..plan.strips.len()).map(|strip| plan.strips.rows(strip));
-        let of_channels = |rows: Range<usize>| {
-            (0..channels).map(|c| plan.picture_rows(frame, c, rows.clone())).collect()
-        };
-        window.current.deal(strips().map(of_channels).collect());
-        window.choice.deal(strips().map(|rows| vec![plan.choice_rows(frame, rows)]).collect());
-        let (guide, renders) = (window.guide.whole(), window.renders.whole());
-        let shards = (&mut window.current, &mut window.choice);
-        worker.round(
-            round,
-            Ends::Half,
-            0..plan.strips.len(),
-            shards,
-            |job, (current, mut choice)| {
-                let rows = plan.strips.rows(job.index());
-                let guide: Vec<&[f32]> = (0..channels)
-                    .map(|c| &guide[plan.picture_rows(frame, c, rows.clone())])
-                    .collect();
-                let renders: Vec<Vec<&[f32]>> = (0..plan.renders)
-                    .map(|k| {
-                        (0..channels)
-                            .map(|c| &renders[plan.render_rows(frame, k, c, rows.clone())])
-                            .collect()
-                    })
-                    .collect();
-                let mut current: Vec<&mut [f32]> = current.pieces().collect();
-                for (index, choice) in choice.piece(0).iter_mut().enumerate() {
-                    let value = |candidate: usize, c: usize| {
-                        mixture.value(candidate, |k| renders[k][c][index])
-                    };
-                    let distance = |candidate: usize| -> f32 {
-                        let error = |c: usize| value(candidate, c) - guide[c][index];
-                        (0..channels).map(|c| error(c) * error(c)).sum()
-                    };
-                    let mut best = (distance(0), 0);
-                    for candidate in 1..mixture.candidates() {
-                        let distance = distance(candidate);
-                        if distance < best.0 {
-                            best = (distance, candidate);
-                        }
-                    }
-                    *choice = best.1 as u8;
-                    for (c, current) in current.iter_mut().enumerate() {
-                        current[index] = value(best.1, c);
-                    }
-                }
-            },
-        );
+        (self.worker.board().completed() < self.round).then_some(self.round)
     }
 
     /// Makes the weights and the residual of a frame.
     pub(super) fn prepare(&mut self, frame: usize) {
-        let round = self.next_round();
-        let Self { plan, worker, window, filters, norm, .. } = self;
+        let Some(round) = self.next_round() else { return };
+        let Self { plan, worker, window, filters, norm, borders, .. } = self;
         let (shape, [left, top]) = (plan.shape, plan.corner);
-        let strips = plan.strips.len();
+        let (own, strips) = (plan.own.clone(), plan.strips.len());
         // The margins go along with the first and the last strip.
         let padded = |strip: usize| {
             let rows = plan.strips.rows(strip);
             let from = if strip == 0 { 0 } else { rows.start + top };
-            from..if strip + 1 == strips { plan.rows } else { rows.end + top }
+            from..if strip + 1 == strips { rows.end + plan.reach } else { rows.end + top }
         };
         let deal = || -> Vec<Vec<Range<usize>>> {
-            (0..strips)
+            own.clone()
                 .map(|strip| {
                     (0..shape.channels()).map(|c| plan.seen_rows(frame, c, padded(strip))).collect()
                 })
@@ -108,14 +53,15 @@ impl Selection {
             weights: &[],
             norm: *norm,
             guide: window.guide.whole(),
-            renders: window.renders.whole(),
+            renders: &window.renders,
             current: window.current.whole(),
         };
         let shards = (&mut window.residual, &mut window.weights);
-        worker.round(round, Ends::Half, 0..strips, shards, |job, (residual, weights)| {
-            let rows = plan.strips.rows(job.index());
+        worker.round(round, Ends::Half, 0..own.len(), shards, |job, (residual, weights)| {
+            let strip = own.start + job.index();
+            let rows = plan.strips.rows(strip);
             let within = (rows.clone(), shape.height());
-            let first = rows.start + top - padded(job.index()).start;
+            let first = rows.start + top - padded(strip).start;
             let mut scratch = FilterScratch::default();
             let mut seen = vec![0.0; rows.len() * shape.width()];
             let (mut error, mut shift) = (seen.clone(), seen.clone());
@@ -153,29 +99,30 @@ impl Selection {
                     }
                 }
             }
+            worker.fault(faults::PREPARE);
         });
+        borders.after_prepare(plan, window, frame);
     }
 
-    /// Makes the curvature of a frame.
-    pub(super) fn curve(&mut self, frame: usize) {
-        let round = self.next_round();
-        let prepared = self.prepared as i64;
+    /// Makes the curvature of a frame, when so many have their weights.
+    pub(super) fn curve(&mut self, frame: usize, prepared: usize) {
+        let Some(round) = self.next_round() else { return };
         let Self { plan, worker, window, filters, .. } = self;
-        let (shape, strips) = (plan.shape, plan.strips.len());
+        let (shape, own) = (plan.shape, plan.own.clone());
         let ranges = |strip| {
             let rows = plan.strips.rows(strip);
             (0..shape.channels()).map(|c| plan.visited_rows(frame, c, rows.clone())).collect()
         };
-        window.curvature.deal((0..strips).map(ranges).collect());
+        window.curvature.deal(own.clone().map(ranges).collect());
         let weights = window.weights.whole();
-        let frames = prepared - (plan.seen.min(prepared as usize)) as i64..prepared;
+        let frames = prepared.saturating_sub(plan.seen) as i64..prepared as i64;
         worker.round(
             round,
             Ends::Half,
-            0..strips,
+            0..own.len(),
             (&mut window.curvature,),
             |job, (curvature,)| {
-                let within = (plan.strips.rows(job.index()), shape.height());
+                let within = (plan.strips.rows(own.start + job.index()), shape.height());
                 let mut scratch = FilterScratch::default();
                 for (channel, plane) in curvature.pieces().enumerate() {
                     let weights = Weights { plan, weights, channel, frames: frames.clone() };
@@ -196,53 +143,59 @@ impl Selection {
     /// Visits all pixels of a frame.
     pub(in crate::select) fn sweep(&mut self, frame: usize, sweep: usize) {
         for colour in 0..COLOURS {
-            let changed = match self.plan.shape.channels() {
+            match self.plan.shape.channels() {
                 1 => self.visit::<1>(frame, sweep, colour),
                 _ => self.visit::<3>(frame, sweep, colour),
-            };
-            self.changes[sweep] += changed;
+            }
         }
     }
 
-    /// Visits the strips of a colour. Returns how many pixels changed.
-    fn visit<const C: usize>(&mut self, frame: usize, sweep: usize, colour: usize) -> u64 {
-        let round = self.next_round();
-        let Self { plan, worker, window, footprint, mixture, norm, simd, .. } = self;
+    /// Visits the strips of a colour.
+    fn visit<const C: usize>(&mut self, frame: usize, sweep: usize, colour: usize) {
+        let Some(round) = self.next_round() else { return };
+        let Self { plan, worker, window, footprint, mixture, norm, simd, borders, .. } = self;
         let lambda = self.lambdas[sweep];
-        let strips: Vec<Range<usize>> = plan.strips.of_colour(colour).collect();
+        let strips: Vec<usize> = Strips::of_colour(&plan.own, colour).collect();
         // The frames that see this one, and which of the footprint they are.
         let low = frame as i64 + i64::from(footprint.low.z);
         let frames = footprint.frames() as i64;
         let present = (-low).clamp(0, frames)..(plan.shape.frames() as i64 - low).clamp(0, frames);
         let present = present.start as usize..present.end as usize;
-        let seen = |rows: &Range<usize>| -> Vec<Range<usize>> {
-            let rows = rows.start..rows.end + footprint.height - 1;
+        let rows = |&strip: &usize| plan.strips.rows(strip);
+        let seen = |rows: Range<usize>| -> Vec<Range<usize>> {
+            let rows = rows.start..rows.end + plan.reach;
             present
                 .clone()
                 .flat_map(|d| (0..C).map(move |c| ((low + d as i64) as usize, c)))
                 .map(|(frame, c)| plan.seen_rows(frame, c, rows.clone()))
                 .collect()
         };
-        let pictures = |rows: &Range<usize>| -> Vec<Range<usize>> {
+        let pictures = |rows: Range<usize>| -> Vec<Range<usize>> {
             (0..C).map(|c| plan.picture_rows(frame, c, rows.clone())).collect()
         };
-        window.residual.deal(strips.iter().map(seen).collect());
-        window.current.deal(strips.iter().map(pictures).collect());
-        let choices = |rows: &Range<usize>| vec![plan.choice_rows(frame, rows.clone())];
+        window.residual.deal(strips.iter().map(|strip| seen(rows(strip))).collect());
+        window.current.deal(strips.iter().map(|strip| pictures(rows(strip))).collect());
+        // What a strip has of bytes and of counts goes with its choices.
+        let choices = |strip| vec![plan.choice_rows(frame, rows(strip))];
         window.choice.deal(strips.iter().map(choices).collect());
+        let changes = |&strip: &usize| vec![plan.strip_changes(sweep, strip)];
+        window.changes.deal(strips.iter().map(changes).collect());
         let (weights, curvature) = (window.weights.whole(), window.curvature.whole());
-        let (guide, renders) = (window.guide.whole(), window.renders.whole());
-        let changed = AtomicU64::new(0);
-        let shards = (&mut window.residual, &mut window.current, &mut window.choice);
+        let (guide, renders) = (window.guide.whole(), &window.renders);
+        let shards =
+            (&mut window.residual, &mut window.current, &mut window.choice, &mut window.changes);
+        let midway = || worker.fault(faults::VISIT);
         worker.round(
             round,
             Ends::Half,
             0..strips.len(),
             shards,
-            |job, (residual, current, mut choice)| {
-                let rows = &strips[job.index()];
+            |job, (residual, current, mut choice, mut changes)| {
+                let rows = rows(&strips[job.index()]);
                 let mut current = current.pieces();
                 let strip = Strip::<C> {
+                    job,
+                    midway: &midway,
                     footprint,
                     mixture,
                     rows: rows.clone(),
@@ -251,55 +204,56 @@ impl Selection {
                     lambda,
                     frames: present.clone(),
                     residual: residual.pieces().collect(),
-                    weights: seen(rows).into_iter().map(|range| &weights[range]).collect(),
+                    weights: seen(rows.clone()).into_iter().map(|range| &weights[range]).collect(),
                     guide: std::array::from_fn(|c| {
                         &guide[plan.picture_rows(frame, c, rows.clone())]
                     }),
-                    renders: (0..plan.renders)
+                    renders,
+                    places: (0..plan.renders)
                         .map(|k| {
                             std::array::from_fn(|c| {
-                                &renders[plan.render_rows(frame, k, c, rows.clone())]
+                                plan.render_rows(frame, k, c, rows.clone()).start
                             })
                         })
                         .collect(),
                     current: std::array::from_fn(|_| current.next().expect("a channel")),
                     choice: choice.piece(0),
+                    changes: changes.piece(0),
                 };
-                let changes = match norm {
+                match norm {
                     Norm::L1 => simd.run(Magnitudes(strip)),
                     Norm::L2 => {
                         let curvature = std::array::from_fn(|c| {
                             &curvature[plan.visited_rows(frame, c, rows.clone())]
                         });
-                        simd.run(Squares { strip, curvature })
+                        simd.run(Squares { strip, curvature });
                     }
-                };
-                changed.fetch_add(changes, Ordering::Relaxed);
+                }
             },
         );
-        changed.into_inner()
+        let present = present.map(|d| (low + d as i64) as usize);
+        borders.after_visit(plan, window, (colour, frame), present);
     }
 
-    /// Adds the scores of a frame.
+    /// Sums up the squares of a frame's errors.
     pub(super) fn score(&mut self, frame: usize, scored: Scored) {
-        let round = self.next_round();
-        let Self { plan, worker, window, filters, norm, sums, .. } = self;
-        let strips = plan.strips.len();
-        let sums_of = |strip: usize| strip * plan.sums..(strip + 1) * plan.sums;
-        window.sums.deal((0..strips).map(|strip| vec![sums_of(strip)]).collect());
+        let Some(round) = self.next_round() else { return };
+        let Self { plan, worker, window, filters, norm, .. } = self;
+        let own = plan.own.clone();
+        let sums = |strip: usize| vec![plan.strip_sums(frame, strip)];
+        window.sums.deal(own.clone().map(sums).collect());
         let shares = Shares {
             plan,
             filters,
             weights: window.weights.whole(),
             norm: *norm,
             guide: window.guide.whole(),
-            renders: window.renders.whole(),
+            renders: &window.renders,
             current: window.current.whole(),
         };
-        worker.round(round, Ends::Half, 0..strips, (&mut window.sums,), |job, (mut of_strip,)| {
-            let rows = plan.strips.rows(job.index());
-            strip_sums(&shares, (frame, scored), rows, of_strip.piece(0));
+        worker.round(round, Ends::Half, 0..own.len(), (&mut window.sums,), |job, (mut sums,)| {
+            let rows = plan.strips.rows(own.start + job.index());
+            strip_sums(&shares, (frame, scored), rows, sums.piece(0));
         });
-        sums.add(&window.sums.whole()[..strips * plan.sums], scored);
     }
 }
