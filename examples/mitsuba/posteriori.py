@@ -88,6 +88,7 @@ def make(args, name, folder):
     select(args, folder, "true", "reference")
     select(args, folder, "single", "reference", subsets=False)
     select(args, folder, "paper", "reference", "0..0")
+    select(args, folder, "l1", "reference", norm="l1")
     for guide in guides(folder):
         for end in args.ends.split(","):
             select(args, folder, f"{guide}-{end}", guide, f"0.2..{end}")
@@ -120,7 +121,7 @@ def guides(folder):
     return ("denoised", "slow")
 
 
-def select(args, folder, name, guide, continuation=None, subsets=True):
+def select(args, folder, name, guide, continuation=None, subsets=True, norm="l2"):
     """Chooses among the renders, unless that was done."""
     out = folder / f"select-{name}.npy"
     if out.exists():
@@ -128,7 +129,7 @@ def select(args, folder, name, guide, continuation=None, subsets=True):
     command = [args.program, "select", "--progress", "none", "--out", str(out), "--candidates"]
     command += [str(folder / f"{k}.npy") for k in range(RENDERS)]
     command += ["--reference" if guide == "reference" else "--guide", str(folder / f"{guide}.npy")]
-    command += ["--kernel", tiles.perception(tiles.SIGMA)]
+    command += ["--kernel", tiles.perception(tiles.SIGMA), "--norm", norm]
     command += ["--subsets"] if subsets else []
     command += ["--continuation", continuation] if continuation else []
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
