@@ -83,6 +83,26 @@ def relative(error, reference):
     return float(np.mean(error**2 / (reference**2 + 0.01)))
 
 
+class Seen:
+    """A reference as the eye sees it, and the error of others against it."""
+
+    def __init__(self, reference, kernel, first):
+        """Judges from the frame `first` on."""
+        self.kernel = kernel
+        blurred = blur(reference, kernel)
+        times = range(first, len(reference))
+        self.frames = {t: lag(blurred, kernel.time, t) for t in times}
+
+    def error(self, frames):
+        """pRelMSE, mean of the frames."""
+        blurred = blur(frames, self.kernel)
+        errors = [
+            relative(lag(blurred, self.kernel.time, t) - exact, exact)
+            for t, exact in self.frames.items()
+        ]
+        return float(np.mean(errors))
+
+
 def interval(values):
     """Mean of the values and half the width of its 95 % interval."""
     values = np.asarray(values, np.float64)

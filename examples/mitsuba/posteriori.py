@@ -21,6 +21,7 @@ import render
 import tiles
 from assets import Assets
 from scenes import SCENES
+from vision import Vision
 
 RENDERS = 4
 # From this frame on every kernel has all its frames: the paper's 16th.
@@ -45,9 +46,7 @@ def main():
     parser.add_argument(
         "--ends", default=str(END), help="where λ ends with a guide, with commas [0.01]"
     )
-    parser.add_argument(
-        "--foreign", type=Path, help="another tile to compare with, such as FAST's"
-    )
+    parser.add_argument("--foreign", type=Path, help="another tile to compare with, such as FAST's")
     args = parser.parse_args()
     if args.frames <= FIRST or args.spp % render.PASS or args.spp < render.PASS:
         parser.error(f"--frames must be above {FIRST} and --spp a multiple of {render.PASS}")
@@ -139,24 +138,15 @@ def judge(args, folder, kernel, vision):
     """pRelMSE relative to one render, and JOD, of everything in the folder."""
     reference = np.load(folder / "reference.npy")
     renders = [np.load(folder / f"{k}.npy") for k in range(RENDERS)]
-    seen = measure.blur(reference, kernel)
-
-    def error(frames):
-        blurred = measure.blur(frames, kernel)
-        errors = []
-        for t in range(FIRST, len(frames)):
-            exact = measure.lag(seen, kernel.time, t)
-            errors.append(measure.relative(measure.lag(blurred, kernel.time, t) - exact, exact))
-        return float(np.mean(errors))
-
-    one = np.mean([error(frames) for frames in renders])
+    seen = measure.Seen(reference, kernel, FIRST)
+    one = np.mean([seen.error(frames) for frames in renders])
     pictures = {"one render": renders[0], "mean of four": np.mean(renders, axis=0)}
     for path in sorted(folder.glob("*.npy")):
         if path.stem not in ("reference", *map(str, range(RENDERS))):
             pictures[path.stem] = np.load(path)
     result = {}
     for key, frames in pictures.items():
-        result[key] = {"prelmse": 1.0 if key == "one render" else error(frames) / one}
+        result[key] = {"prelmse": 1.0 if key == "one render" else seen.error(frames) / one}
         if vision:
             result[key]["jod"] = vision.jod(frames, reference)
             result[key]["jod_taa"] = vision.jod(lagged(frames), lagged(reference))
@@ -169,34 +159,6 @@ def lagged(frames):
     for t in range(1, len(frames)):
         result[t] = TAA * frames[t] + (1 - TAA) * result[t - 1]
     return result
-
-
-class Vision:
-    """ColorVideoVDP: 75 pixels per degree, 60 Hz, sRGB."""
-
-    def __init__(self, model):
-        self.model = model
-
-    @classmethod
-    def load(cls):
-        """The model, if it is installed."""
-        try:
-            import pycvvdp
-        except ImportError:
-            return None
-        return cls(pycvvdp.cvvdp(display_name="standard_4k", quiet=True))
-
-    def jod(self, frames, reference):
-        """Just-objectionable differences: 10 is no difference."""
-        pair = (srgb(frames), srgb(reference))
-        return float(self.model.predict(*pair, dim_order="FHWC", frames_per_second=60)[0])
-
-
-def srgb(light):
-    """Light as values of an sRGB display."""
-    light = np.clip(light, 0, 1)
-    curve = 1.055 * np.maximum(light, 0.0031308) ** (1 / 2.4) - 0.055
-    return np.where(light <= 0.0031308, 12.92 * light, curve).astype(np.float32)
 
 
 def table(name, result):
