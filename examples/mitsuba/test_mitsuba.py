@@ -275,6 +275,20 @@ class Comparison(unittest.TestCase):
                 self.assertLess(error["select-single"], 0.06)
                 self.assertAlmostEqual(error["mean of four"], 0.25, delta=0.05)
 
+    def test_levels(self):
+        here = Path(__file__).parent
+        with tempfile.TemporaryDirectory() as folder:
+            command = [sys.executable, str(here / "levels.py"), folder, "--program", PROGRAM]
+            command += ["--scene", "cornell", "--size", "48", "--frames", "18", "--spp", "128"]
+            command += ["--levels", "2,64", "--steps", "1000"]
+            subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+            result = json.loads((Path(folder) / "levels.json").read_text())
+            for title in ("Gradient, 64 levels", "Cornell box, 2 levels", "Cornell box, 64 levels"):
+                error = {key: row["prelmse"] for key, row in result[title].items()}
+                self.assertLess(error["selected"], 0.15)
+                self.assertLess(error["selected"], error["STBN, scalar"])
+                self.assertLess(error["our tile of one dimension"], 0.7)
+
 
 if __name__ == "__main__":
     unittest.main()
