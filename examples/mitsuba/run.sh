@@ -22,8 +22,9 @@ if [[ ! -x $out/venv/bin/python ]]; then
 fi
 "$out/venv/bin/pip" install --quiet --requirement "$here/requirements.txt"
 
-# Mitsuba compiles its kernels with LLVM 16 or later.
-if [[ -z ${DRJIT_LIBLLVM_PATH:-} ]] && ! ldconfig -p | grep -qE 'libLLVM[-.](so\.)?(1[6-9]|2[0-9])'; then
+# Mitsuba compiles its kernels with LLVM, of which Dr.Jit 1.5.0 needs version 19 or later on processors with
+# AVX-512.
+if [[ -z ${DRJIT_LIBLLVM_PATH:-} ]] && ! ldconfig -p | grep -qE 'libLLVM[-.](so\.)?(19|2[0-9])'; then
     llvm=$out/assets/debian
     if ! compgen -G "$llvm/usr/lib/llvm-*/lib/libLLVM*.so*" >/dev/null; then
         mkdir -p "$llvm"
