@@ -1,10 +1,11 @@
 """A posteriori against a priori (the paper's Figure 5), rendered with Mitsuba 3.
 
-For every scene: four renders of white noise and one behind our default tile, one sample per pixel
-each, and a reference. `perceptile select` chooses among the means of the four, with the true
-reference and, where `pyoidn` can be imported, with guides that Open Image Denoise makes of the renders
-alone. All are judged by the paper's pRelMSE and, where `pycvvdp` can be imported, by ColorVideoVDP, a
-model of vision that is not ours. Everything goes to the folder OUT; what is there already is kept.
+For every scene: four renders of white noise and four behind our default tile, one sample per pixel
+each, and a reference. `perceptile select` chooses among the means of four, with the true reference
+and, where `pyoidn` can be imported, with guides that Open Image Denoise makes of the renders alone,
+or of the renders and noise-free albedo and normals. All are judged by the paper's pRelMSE and,
+where `pycvvdp` can be imported, by ColorVideoVDP, a model of vision that is not ours. Everything
+goes to the folder OUT; what is there already is kept.
 
     python posteriori.py OUT --program target/release/perceptile
 """
@@ -30,6 +31,8 @@ FIRST = 15
 SLOW = 0.3
 # Weight of the newest frame in the renderer's temporal anti-aliasing.
 TAA = 0.2
+# Where the renders behind our tile are, in a scene's folder.
+TILE = "tile"
 # Where λ ends with a guide, if nothing else is asked for.
 END = 0.01
 
@@ -66,31 +69,47 @@ def main():
 def make(args, name, folder):
     """Renders a scene and lets the program choose."""
     assets = Assets(args.out / "assets")
-    frames = [(t, t) for t in range(args.frames)]
-    samplers = {"white": {"type": "tile", "sample_count": 1}}
-    if not (folder / "0.npy").exists():
-        runs = render.animation(name, assets, samplers, RENDERS, frames, args.size)["white"]
-        for number, run in enumerate(runs):
-            np.save(folder / f"{number}.npy", run)
+    times = list(range(args.frames))
+    white = {"type": "tile", "sample_count": 1}
+    animate(args, name, assets, white, [folder / f"{k}.npy" for k in range(RENDERS)])
     for key, file in apriori(args).items():
-        if not (folder / f"{key}.npy").exists():
-            beyond = {"beyond": "shift"} if SCENES[name].dims > 2 else {}
-            sampler = {"type": "tile", "filename": str(file), "sample_count": 1, **beyond}
-            run = render.animation(name, assets, {key: sampler}, 1, frames, args.size)[key]
-            np.save(folder / f"{key}.npy", run[0])
+        animate(args, name, assets, behind(name, file), [folder / f"{key}.npy"])
+    tile = folder / TILE
+    tile.mkdir(exist_ok=True)
+    shifts = [tile / f"{k}.npy" for k in range(RENDERS)]
+    animate(args, name, assets, behind(name, apriori(args)["ours"]), shifts)
     cache = args.out / "references"
     cache.mkdir(exist_ok=True)
-    if not (folder / "reference.npy").exists():
-        times = [t for t, _ in frames]
-        made = render.reference(name, assets, times, args.size, args.spp, cache)
-        np.save(folder / "reference.npy", made)
-    select(args, folder, "true", "reference")
-    select(args, folder, "single", "reference", subsets=False)
-    select(args, folder, "paper", "reference", "0..0")
-    select(args, folder, "l1", "reference", norm="l1")
-    for guide in guides(folder):
-        for end in args.ends.split(","):
-            select(args, folder, f"{guide}-{end}", guide, f"0.2..{end}")
+    reference = folder / "reference.npy"
+    if not reference.exists():
+        np.save(reference, render.reference(name, assets, times, args.size, args.spp, cache))
+    if not (folder / "features.npy").exists():
+        np.save(folder / "features.npy", render.features(name, assets, times, args.size))
+    select(args, folder, "true", reference)
+    select(args, folder, "single", reference, subsets=False)
+    select(args, folder, "paper", reference, "0..0")
+    select(args, folder, "l1", reference, norm="l1")
+    select(args, tile, "true", reference)
+    for renders, ends in ((folder, args.ends), (tile, str(END))):
+        for guide in guides(renders, folder / "features.npy"):
+            for end in ends.split(",") if guide in ("denoised", "slow") else (END,):
+                select(args, renders, f"{guide}-{end}", renders / f"{guide}.npy", f"0.2..{end}")
+
+
+def behind(name, file):
+    """The sampler that reads a tile."""
+    beyond = {"beyond": "shift"} if SCENES[name].dims > 2 else {}
+    return {"type": "tile", "filename": str(file), "sample_count": 1, **beyond}
+
+
+def animate(args, name, assets, sampler, files):
+    """Renders a scene as often as there are files, unless that was done."""
+    if files[0].exists():
+        return
+    frames = [(t, t) for t in range(args.frames)]
+    runs = render.animation(name, assets, {"it": sampler}, len(files), frames, args.size)["it"]
+    for file, run in zip(files, runs):
+        np.save(file, run)
 
 
 def apriori(args):
@@ -101,10 +120,12 @@ def apriori(args):
     return {"ours": file, **({"foreign": args.foreign} if args.foreign else {})}
 
 
-def guides(folder):
-    """Stand-ins for the reference that need nothing but the renders, if they can be made."""
-    if (folder / "slow.npy").exists():
-        return ("denoised", "slow")
+def guides(folder, features):
+    """Stand-ins for the reference that need nothing but the renders, if they can be made, and the
+    same with albedo and normals."""
+    names = ("denoised", "slow", "denoised-features", "slow-features")
+    if all((folder / f"{name}.npy").exists() for name in names):
+        return names
     try:
         import pyoidn
     except ImportError:
@@ -114,10 +135,16 @@ def guides(folder):
     slow = mean.copy()
     for t in range(1, len(slow)):
         slow[t] = SLOW * mean[t] + (1 - SLOW) * slow[t - 1]
+    albedo, normal = np.split(np.load(features), 2, axis=3)
     for name, frames in (("denoised", mean), ("slow", slow)):
-        made = [pyoidn.denoise(np.ascontiguousarray(frame), hdr=True) for frame in frames]
-        np.save(folder / f"{name}.npy", np.maximum(np.stack(made), 0))
-    return ("denoised", "slow")
+        plain = [pyoidn.denoise(frame, hdr=True) for frame in frames]
+        more = [
+            pyoidn.denoise(*of_frame, hdr=True, clean_aux=True)
+            for of_frame in zip(frames, albedo, normal)
+        ]
+        np.save(folder / f"{name}.npy", np.maximum(np.stack(plain), 0))
+        np.save(folder / f"{name}-features.npy", np.maximum(np.stack(more), 0))
+    return names
 
 
 def select(args, folder, name, guide, continuation=None, subsets=True, norm="l2"):
@@ -127,7 +154,7 @@ def select(args, folder, name, guide, continuation=None, subsets=True, norm="l2"
         return
     command = [args.program, "select", "--progress", "none", "--out", str(out), "--candidates"]
     command += [str(folder / f"{k}.npy") for k in range(RENDERS)]
-    command += ["--reference" if guide == "reference" else "--guide", str(folder / f"{guide}.npy")]
+    command += ["--reference" if guide.stem == "reference" else "--guide", str(guide)]
     command += ["--kernel", tiles.perception(tiles.SIGMA), "--norm", norm]
     command += ["--subsets"] if subsets else []
     command += ["--continuation", continuation] if continuation else []
@@ -141,9 +168,13 @@ def judge(args, folder, kernel, vision):
     seen = measure.Seen(reference, kernel, FIRST)
     one = np.mean([seen.error(frames) for frames in renders])
     pictures = {"one render": renders[0], "mean of four": np.mean(renders, axis=0)}
-    for path in sorted(folder.glob("*.npy")):
-        if path.stem not in ("reference", *map(str, range(RENDERS))):
-            pictures[path.stem] = np.load(path)
+    tile = [np.load(folder / TILE / f"{k}.npy") for k in range(RENDERS)]
+    pictures["mean of four, tile"] = np.mean(tile, axis=0)
+    given = ("reference", "features", *map(str, range(RENDERS)))
+    for path in sorted(folder.glob("*.npy")) + sorted((folder / TILE).glob("*.npy")):
+        if path.stem not in given:
+            key = path.stem if path.parent == folder else f"{path.stem}, tile"
+            pictures[key] = np.load(path)
     result = {}
     for key, frames in pictures.items():
         result[key] = {"prelmse": 1.0 if key == "one render" else seen.error(frames) / one}

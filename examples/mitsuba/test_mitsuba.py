@@ -274,6 +274,8 @@ class Comparison(unittest.TestCase):
                 self.assertLess(error["select-true"], 0.1 * error["ours"])
                 self.assertLess(error["select-single"], 0.06)
                 self.assertAlmostEqual(error["mean of four"], 0.25, delta=0.05)
+                self.assertLess(error["mean of four, tile"], 0.5 * error["ours"])
+                self.assertLess(error["select-true, tile"], 0.1 * error["ours"])
 
     def test_levels(self):
         here = Path(__file__).parent
