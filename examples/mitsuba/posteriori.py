@@ -21,6 +21,7 @@ import measure
 import render
 import tiles
 from assets import Assets
+from experiments import save
 from scenes import SCENES
 from vision import Vision
 
@@ -63,6 +64,7 @@ def main():
         make(args, name, folder)
         results[name] = judge(args, folder, kernel, vision)
         table(name, results[name])
+        figure(folder, kernel)
     (args.out / "posteriori.json").write_text(json.dumps(results, indent=1))
 
 
@@ -182,6 +184,18 @@ def judge(args, folder, kernel, vision):
             result[key]["jod"] = vision.jod(frames, reference)
             result[key]["jod_taa"] = vision.jod(lagged(frames), lagged(reference))
     return result
+
+
+def figure(folder, kernel):
+    """The paper's Figure 5 as a picture: a priori, a posteriori and the reference, from left to
+    right; above as they are in frame 16, below as the eye sees them."""
+    rows = []
+    for name in ("ours", "select-true", "reference"):
+        frames = np.load(folder / f"{name}.npy")
+        border = slice(kernel.radius, -kernel.radius)
+        seen = measure.lag(measure.blur(frames, kernel), kernel.time, FIRST)
+        rows.append(np.concatenate([frames[FIRST, border, border], seen]))
+    save(folder / "figure.png", np.concatenate(rows, axis=1).repeat(2, axis=0).repeat(2, axis=1))
 
 
 def lagged(frames):

@@ -276,6 +276,7 @@ class Comparison(unittest.TestCase):
                 self.assertAlmostEqual(error["mean of four"], 0.25, delta=0.05)
                 self.assertLess(error["mean of four, tile"], 0.5 * error["ours"])
                 self.assertLess(error["select-true, tile"], 0.1 * error["ours"])
+                self.assertTrue((Path(folder) / scene / "figure.png").exists())
 
     def test_levels(self):
         here = Path(__file__).parent
