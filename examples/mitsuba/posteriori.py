@@ -5,14 +5,19 @@ each, and a reference. `perceptile select` chooses among the means of four, with
 and, where `pyoidn` can be imported, with guides that Open Image Denoise makes of the renders alone,
 or of the renders and noise-free albedo and normals. All are judged by the paper's pRelMSE and,
 where `pycvvdp` can be imported, by ColorVideoVDP, a model of vision that is not ours. Everything
-goes to the folder OUT; what is there already is kept.
+goes to the folder OUT, with a `renders.json` that `perceptile report --renders OUT` shows; what is
+there already is kept.
 
     python posteriori.py OUT --program target/release/perceptile
 """
 
 import argparse
 import json
+import os
+import platform
+import shlex
 import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +26,7 @@ import measure
 import render
 import tiles
 from assets import Assets
-from experiments import save
+from experiments import save, word
 from scenes import SCENES
 from vision import Vision
 
@@ -36,6 +41,16 @@ TAA = 0.2
 TILE = "tile"
 # Where λ ends with a guide, if nothing else is asked for.
 END = 0.01
+# What a report shows of a scene, by the names of rows.
+SHOWN = {
+    "one render": "one render",
+    "foreign": "another tile",
+    "ours": "our tile",
+    "mean of four": "mean of four renders",
+    f"select-slow-{END}": "selected, slow as guide",
+    "select-true": "selected, reference",
+}
+VIEWS = ("as rendered", "as seen")
 
 
 def main():
@@ -64,8 +79,8 @@ def main():
         make(args, name, folder)
         results[name] = judge(args, folder, kernel, vision)
         table(name, results[name])
-        figure(folder, kernel)
     (args.out / "posteriori.json").write_text(json.dumps(results, indent=1))
+    page(args, results, kernel)
 
 
 def make(args, name, folder):
@@ -186,16 +201,53 @@ def judge(args, folder, kernel, vision):
     return result
 
 
-def figure(folder, kernel):
-    """The paper's Figure 5 as a picture: a priori, a posteriori and the reference, from left to
-    right; above as they are in frame 16, below as the eye sees them."""
-    rows = []
-    for name in ("ours", "select-true", "reference"):
-        frames = np.load(folder / f"{name}.npy")
-        border = slice(kernel.radius, -kernel.radius)
+def page(args, results, kernel):
+    """Writes the paper's Figure 5 for the report: the pictures of every scene, as they are in frame
+    16 and as the eye sees them."""
+    (args.out / "pictures").mkdir(exist_ok=True)
+    scenes = [scene_data(args.out, name, result, kernel) for name, result in results.items()]
+    data = {
+        "format": 1,
+        "title": "A posteriori",
+        "command": shlex.join(["python", *sys.argv]),
+        "machine": f"{platform.machine()}, {os.cpu_count()} cores, Mitsuba 3",
+        "scenes": scenes,
+    }
+    (args.out / "renders.json").write_text(json.dumps(data, ensure_ascii=False, indent=1))
+
+
+def scene_data(out, name, result, kernel):
+    """Writes the pictures of a scene, and says what they are."""
+    shots = []
+    border = slice(kernel.radius, -kernel.radius)
+
+    def write(key, frames):
         seen = measure.lag(measure.blur(frames, kernel), kernel.time, FIRST)
-        rows.append(np.concatenate([frames[FIRST, border, border], seen]))
-    save(folder / "figure.png", np.concatenate(rows, axis=1).repeat(2, axis=0).repeat(2, axis=1))
+        files = [f"pictures/{name}-{word(view)}-{word(key)}.png" for view in VIEWS]
+        for file, picture in zip(files, (frames[FIRST, border, border], seen)):
+            save(out / file, picture)
+        return files, seen.shape[0]
+
+    for key, title in SHOWN.items():
+        if key in result:
+            file = "0" if key == "one render" else key
+            frames = [f"{k}" for k in range(RENDERS)] if key == "mean of four" else [file]
+            frames = np.mean([np.load(out / name / f"{file}.npy") for file in frames], axis=0)
+            ratio = result[key]["prelmse"]
+            for view, file in zip(VIEWS, write(key, frames)[0]):
+                shot = {"name": title, "view": view, "file": file, "value": ratio, "ratio": ratio}
+                shots.append(shot)
+    (_, reference), side = write("reference", np.load(out / name / "reference.npy"))
+    return {
+        "name": SCENES[name].title,
+        "caption": f"{SCENES[name].about}; frame {FIRST + 1}. Figures are relative to one render.",
+        "width": side,
+        "height": side,
+        "reference": reference,
+        "views": list(VIEWS),
+        "pictures": shots,
+        "crops": [{"x": side // 4, "y": side // 4, "size": side // 2}],
+    }
 
 
 def lagged(frames):

@@ -37,8 +37,8 @@ Examples:
 
 /// λ with a guide, whose own error should not be followed to the end.
 const GUIDED: Continuation = Continuation { from: 0.2, to: 0.01 };
-/// λ with levels, of which the two that are nearest have nothing to tell apart but their error.
-const LEVELS: Continuation = Continuation { from: 0.0, to: 0.0 };
+/// λ among single renders or levels: what is least seen then is best for the eye as well.
+const SINGLE: Continuation = Continuation { from: 0.0, to: 0.0 };
 /// Where λ begins if only its end is given.
 const FROM: f64 = 0.2;
 
@@ -123,7 +123,7 @@ pub struct SelectArgs {
     sweeps: u32,
 
     /// Weight of the unfiltered error in the first and in the last sweep, or in the last one alone
-    /// [default: 0.01..0, with a guide 0.2..0.01, with levels 0]
+    /// [default: 0; with --subsets 0.01..0, with a guide 0.2..0.01]
     #[arg(long, value_name = "FROM..TO", value_parser = continuation, help_heading = "Selection")]
     continuation: Option<Continuation>,
 
@@ -214,10 +214,10 @@ impl SelectArgs {
             NormChoice::L1 => Norm::L1,
             NormChoice::L2 => Norm::L2,
         };
-        let default = match (&self.guide, self.levels) {
+        let default = match (&self.guide, self.subsets) {
             (Some(_), _) => GUIDED,
-            (None, Some(_)) => LEVELS,
-            (None, None) => Continuation::default(),
+            (None, true) => Continuation::default(),
+            (None, false) => SINGLE,
         };
         let continuation = self.continuation.unwrap_or(default);
         SelectOptions { norm, sweeps: self.sweeps, continuation }

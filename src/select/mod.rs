@@ -18,8 +18,8 @@
 //! takes the candidate with the least objective Σ w²(r² + λe²), where e = R − I and
 //! 1/w² = (g_s * g_t * I)² + 0.01, so that with λ = 0 it is the pRelMSE that the paper measures.
 //! λ falls from sweep to sweep ([`Continuation`]). Until its first visit a pixel is the reference, without
-//! error, so that it then takes on what those before it have left. (From the closest candidates, single
-//! changes lead to twice the error, and with the two levels of a display to five times as much.)
+//! error, so that it then takes on what those before it have left. From the closest candidates, changes of
+//! single pixels end with more error, above all where all that is closest lies on one side of the reference.
 //!
 //! Animations stream. Sweep k + 1 follows sweep k through the frames at a distance, so that all
 //! sweeps go on at once at different frames of a window, in *waves*: in wave n, sweep k visits frame
