@@ -5,8 +5,8 @@ use std::ops::Range;
 use serde::{Deserialize, Serialize};
 
 use super::AnimationShape;
-use super::filter::{Border, Filter, FilterScratch};
-use super::sources::{Errors, Method, Shares};
+use super::filter::{Border, FilterScratch};
+use super::sources::{Shares, Source};
 use super::window::WindowPlan;
 
 /// Which methods are scored: renders as soon as the frames around are there, so that they need not stay
@@ -25,6 +25,14 @@ impl Scored {
             Self::Others => 1..all,
         }
     }
+}
+
+/// The selection and the mean of all renders come before the renders.
+const OTHERS: usize = 2;
+
+/// How much is scored: the selection, the mean of all renders, and each render.
+pub(super) fn methods(renders: usize) -> usize {
+    OTHERS + renders
 }
 
 /// Sums of squares over frames.
@@ -60,12 +68,12 @@ pub struct SelectScores {
 
 impl Sums {
     pub fn new(renders: usize) -> Self {
-        Self { frames: 0, sums: vec![[0.0; 2]; Method::all(renders).count()] }
+        Self { frames: 0, sums: vec![[0.0; 2]; methods(renders)] }
     }
 
     /// Whether they are those of so many renders.
     pub fn fits(&self, renders: usize) -> bool {
-        self.sums.len() == Method::all(renders).count()
+        self.sums.len() == methods(renders)
     }
 
     /// Adds what is scored of a frame's strips, in their order.
@@ -103,45 +111,48 @@ pub(super) fn strip_sums(
     let (shape, [left, top]) = (plan.shape, plan.corner);
     let within = (rows.clone(), shape.height());
     let mut scratch = FilterScratch::default();
-    let mut seen = vec![0.0; rows.len() * shape.width()];
-    let mut shift = seen.clone();
+    let nothing = vec![0.0; rows.len() * shape.width()];
+    let (mut seen, mut mean, mut shift) = (nothing.clone(), nothing.clone(), nothing.clone());
     let methods = scored.methods(sums.len() / 2);
     sums[2 * methods.start..2 * methods.end].fill(0.0);
     for channel in 0..shape.channels() {
         let padded = plan.seen_rows(frame, channel, rows.start + top..rows.end + top);
         let weights = &shares.weights[padded];
-        let mut measure = |filter: &Filter, shift: Option<&[f32]>, errors: &Errors<'_>| {
-            filter.rows(
-                errors,
-                frame as i64,
-                within.clone(),
-                Border::Zero,
-                &mut scratch,
-                &mut seen,
-            );
-            let rows = seen.chunks_exact(shape.width()).zip(weights.chunks_exact(plan.stride));
-            rows.enumerate()
-                .map(|(y, (row, weights))| {
-                    let weights = &weights[left..];
-                    let shift = |x| shift.map_or(0.0, |shift| shift[y * shape.width() + x]);
-                    let square = |(x, (&r, &w)): (usize, (&f32, &f32))| {
-                        let r = f64::from(r + shift(x));
-                        r * r * shares.squared_weight(w)
-                    };
-                    row.iter().zip(weights).enumerate().map(square).sum::<f64>()
-                })
-                .sum::<f64>()
+        let squares = |seen: &[f32], shift: &[f32]| -> f64 {
+            let rows = seen.chunks_exact(shape.width()).zip(shift.chunks_exact(shape.width()));
+            let of_row = |((row, shift), weights): ((&[f32], &[f32]), &[f32])| {
+                let all = row.iter().zip(shift).zip(&weights[left..]);
+                let square = |((&r, &shift), &w): ((&f32, &f32), &f32)| {
+                    let r = f64::from(r + shift);
+                    r * r * shares.squared_weight(w)
+                };
+                all.map(square).sum::<f64>()
+            };
+            rows.zip(weights.chunks_exact(plan.stride)).map(of_row).sum()
         };
-        if shares.filters.render.is_some() {
-            shares.shift(frame, channel, &within, &mut FilterScratch::default(), &mut shift);
-        }
-        let all = Method::all(plan.renders).zip(sums.as_chunks_mut::<2>().0);
-        for (method, sums) in all.skip(methods.start).take(methods.len()) {
-            let errors = shares.errors(method, channel);
-            sums[0] += measure(&shares.filters.eye, None, &errors);
-            if let Some(render) = &shares.filters.render {
-                sums[1] += measure(render, Some(&shift), &errors);
+        shares.shift(frame, channel, &within, &mut scratch, &mut shift);
+        let plain = (&shares.filters.eye, &nothing);
+        let taa = shares.filters.render.as_ref().map(|render| (render, &shift));
+        for (i, (filter, shift)) in [plain].into_iter().chain(taa).enumerate() {
+            let mut see = |source: Source, seen: &mut [f32]| {
+                let errors = shares.errors(source, channel);
+                let at = frame as i64;
+                filter.rows(&errors, at, within.clone(), Border::Zero, &mut scratch, seen);
+            };
+            if scored == Scored::Selection {
+                see(Source::Selection, &mut seen);
+                sums[i] += squares(&seen, shift);
+                continue;
             }
+            // What is seen of a mean is the mean of what is seen.
+            mean.fill(0.0);
+            for k in 0..plan.renders {
+                see(Source::Render(k), &mut seen);
+                sums[2 * (OTHERS + k) + i] += squares(&seen, shift);
+                let share = 1.0 / plan.renders as f32;
+                mean.iter_mut().zip(&seen).for_each(|(mean, seen)| *mean += share * seen);
+            }
+            sums[2 + i] += squares(&mean, shift);
         }
     }
 }

@@ -7,19 +7,11 @@ use super::filter::{Border, Filter, FilterScratch, Rows, add};
 use super::options::Norm;
 use super::window::{Renders, WindowPlan};
 
-/// What is scored: the selection, the mean of all renders, and each render.
+/// Whose errors are seen: those of what is chosen, or a render's.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Method {
+pub(super) enum Source {
     Selection,
-    Mean,
     Render(usize),
-}
-
-impl Method {
-    /// All of them.
-    pub fn all(renders: usize) -> impl Iterator<Item = Self> {
-        [Self::Selection, Self::Mean].into_iter().chain((0..renders).map(Self::Render))
-    }
 }
 
 /// The filters, ready.
@@ -58,10 +50,10 @@ impl Rows for Guide<'_> {
     }
 }
 
-/// Errors of a method, which has none outside of the animation.
+/// Errors of a source, which has none outside of the animation.
 pub(super) struct Errors<'a> {
     shares: &'a Shares<'a>,
-    method: Method,
+    source: Source,
     channel: usize,
 }
 
@@ -74,27 +66,25 @@ impl Rows for Errors<'_> {
         let (frame, rows) = (frame as usize, row..row + 1);
         let place = plan.picture_rows(frame, self.channel, rows.clone());
         let guide = &guide[place.clone()];
-        let mut difference = |picture: &[f32], scale: f32| {
+        let mut difference = |picture: &[f32]| {
             for ((out, &value), &guide) in out.iter_mut().zip(picture).zip(guide) {
                 *out += scale * (value - guide);
             }
         };
-        let (renders_of, scale) = match self.method {
-            Method::Selection => return difference(&current[place], scale),
-            Method::Render(k) => (k..k + 1, scale),
-            Method::Mean => (0..plan.renders, scale / plan.renders as f32),
-        };
-        let mut render = vec![0.0; place.len()];
-        for k in renders_of {
-            renders.read(plan.render_rows(frame, k, self.channel, rows.clone()), &mut render);
-            difference(&render, scale);
+        match self.source {
+            Source::Selection => difference(&current[place]),
+            Source::Render(k) => {
+                let mut render = vec![0.0; place.len()];
+                renders.read(plan.render_rows(frame, k, self.channel, rows), &mut render);
+                difference(&render);
+            }
         }
     }
 }
 
 impl<'a> Shares<'a> {
-    pub fn errors(&'a self, method: Method, channel: usize) -> Errors<'a> {
-        Errors { shares: self, method, channel }
+    pub fn errors(&'a self, source: Source, channel: usize) -> Errors<'a> {
+        Errors { shares: self, source, channel }
     }
 
     pub fn reference(&self, channel: usize) -> Guide<'a> {

@@ -18,7 +18,7 @@ use perceptile_cluster::shared::{Arena, Board, BoardPlan, Map, Parts};
 use super::footprint::Footprint;
 use super::options::Norm;
 use super::plan::SelectPlan;
-use super::sources::Method;
+use super::score::methods;
 use super::strips::Strips;
 use super::visit::CELL;
 use super::{AnimationShape, SelectError};
@@ -66,7 +66,6 @@ impl WindowPlan {
         // The error at a row is made of rows as far from it as the kernel reaches.
         let held = rows.start.saturating_sub(bottom)..(rows.end + top).min(shape.height());
         let stride = (left + shape.width()).max(shape.width() + footprint.overhang());
-        let methods = Method::all(candidates.renders).count();
         let mut made = Self {
             shape: *shape,
             renders: candidates.renders,
@@ -78,7 +77,7 @@ impl WindowPlan {
             corner: [left, top],
             reach: footprint.height - 1,
             held,
-            sums: 2 * methods,
+            sums: 2 * methods(candidates.renders),
             sweeps: options.sweeps as usize,
             board: BoardPlan {
                 workers: parallelism.workers.max(1),

@@ -84,9 +84,12 @@ pub fn follow(
     let ready = || -> Result<_, Failure> {
         let threads = args.execution.threads()?;
         memory::check_bytes((plan.foreseen()?.0 as u64).saturating_mul(selections as u64))?;
-        Ok((execution::pool(threads)?, plan.with_threads(threads)))
+        // The root decides when to stop; a launcher sends signals to all.
+        let signals = Signals::install(|_| ());
+        let signals = signals.map_err(Failure::refused("cannot listen for signals"))?;
+        Ok((execution::pool(threads)?, plan.with_threads(threads), signals))
     };
-    let (pool, plan) = ranks::agree(&**communicator, ready())?;
+    let (pool, plan, _signals) = ranks::agree(&**communicator, ready())?;
     pool.install(|| {
         let what = (&plan, selections);
         let mut hands =

@@ -12,7 +12,7 @@ use crate::select::faults;
 use crate::select::filter::{Border, FilterScratch};
 use crate::select::options::Norm;
 use crate::select::score::{Scored, strip_sums};
-use crate::select::sources::{Method, Shares, Weights};
+use crate::select::sources::{Shares, Source, Weights};
 use crate::select::strips::{COLOURS, Strips};
 use crate::select::visit::{Magnitudes, Squares, Strip};
 
@@ -77,7 +77,7 @@ impl Engine {
                 );
                 shares.shift(frame, c, &within, &mut scratch, &mut shift);
                 filters.render.as_ref().unwrap_or(&filters.eye).rows(
-                    &shares.errors(Method::Selection, c),
+                    &shares.errors(Source::Selection, c),
                     at,
                     within.clone(),
                     Border::Zero,
