@@ -31,6 +31,18 @@ def foreign(text):
     return name, Path(file)
 
 
+def add_foreign(parser):
+    """Lets a command have tiles that are not ours."""
+    parser.add_argument(
+        "--foreign",
+        type=foreign,
+        action="append",
+        default=[],
+        metavar="NAME=FILE",
+        help="a .npy tile to compare with; may be given several times",
+    )
+
+
 def digest(*files):
     """A short name of what files contain."""
     content = hashlib.sha256()
@@ -44,14 +56,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("out", type=Path, help="folder for everything that is made")
     parser.add_argument("--program", default="perceptile", help="the program `perceptile`")
-    parser.add_argument(
-        "--foreign",
-        type=foreign,
-        action="append",
-        default=[],
-        metavar="NAME=FILE",
-        help="a .npy tile to compare with; may be given several times",
-    )
+    add_foreign(parser)
     parser.add_argument("--scenes", default=",".join(SCENES), help="names of scenes [default: all]")
     parser.add_argument("--size", type=int, default=256, help="pixels along a side [default: 256]")
     parser.add_argument("--runs", type=int, default=8, help="shifts of every tile [default: 8]")

@@ -10,10 +10,8 @@ has rendered the scene in it, that is used.
     python levels.py OUT --program target/release/perceptile
 """
 
-import argparse
 import json
 import subprocess
-from pathlib import Path
 
 import mitsuba as mi
 import numpy as np
@@ -23,37 +21,20 @@ import render
 import tile_sampler
 import tiles
 from assets import Assets
-from compare import foreign
-from posteriori import FIRST
+from compare import add_foreign
+from posteriori import FIRST, begin, parser_of
 from scenes import SCENES
-from vision import Vision, light, srgb
+from vision import light, srgb
 
 
 def main():
     """Reads the arguments, dithers, measures, and prints a table for each animation."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("out", type=Path, help="folder for everything that is made")
-    parser.add_argument("--program", default="perceptile", help="the program `perceptile`")
+    parser = parser_of(__doc__)
     parser.add_argument("--levels", default="2,8,64", help="numbers of levels [2,8,64]")
     parser.add_argument("--scene", default="path", help="name of the rendered scene [path]")
-    parser.add_argument("--size", type=int, default=128, help="pixels along a side [128]")
-    parser.add_argument("--frames", type=int, default=24, help="frames, more than 16 [24]")
-    parser.add_argument("--spp", type=int, default=512, help="samples of the scene [512]")
     parser.add_argument("--steps", type=int, help="steps for our tile [as many as are good]")
-    parser.add_argument(
-        "--foreign",
-        type=foreign,
-        action="append",
-        default=[],
-        metavar="NAME=FILE",
-        help="a .npy tile to compare with; may be given several times",
-    )
-    args = parser.parse_args()
-    if args.frames <= FIRST or args.spp % render.PASS or args.spp < render.PASS:
-        parser.error(f"--frames must be above {FIRST} and --spp a multiple of {render.PASS}")
-    args.out.mkdir(parents=True, exist_ok=True)
-    kernel = measure.Kernel.of(args.program, tiles.perception(tiles.SIGMA))
-    vision = Vision.load()
+    add_foreign(parser)
+    args, kernel, vision = begin(parser)
     masks = thresholds(args)
     results = {}
     for name, frames in animations(args).items():

@@ -13,11 +13,7 @@ there already is kept.
 
 import argparse
 import json
-import os
-import platform
-import shlex
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +24,7 @@ import tiles
 from assets import Assets
 from experiments import save, word
 from scenes import SCENES
+from tables import write_renders
 from vision import Vision
 
 RENDERS = 4
@@ -53,25 +50,36 @@ SHOWN = {
 VIEWS = ("as rendered", "as seen")
 
 
-def main():
-    """Reads the arguments, renders, selects, measures, and prints a table for each scene."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+def parser_of(about):
+    """The arguments of everything that makes animations and judges them."""
+    parser = argparse.ArgumentParser(description=about.splitlines()[0])
     parser.add_argument("out", type=Path, help="folder for everything that is made")
     parser.add_argument("--program", default="perceptile", help="the program `perceptile`")
-    parser.add_argument("--scenes", default="cornell,path,shadows,veach", help="names of scenes")
     parser.add_argument("--size", type=int, default=128, help="pixels along a side [128]")
     parser.add_argument("--frames", type=int, default=24, help="frames, more than 16 [24]")
-    parser.add_argument("--spp", type=int, default=512, help="samples of the reference [512]")
-    parser.add_argument(
-        "--ends", default=str(END), help="where λ ends with a guide, with commas [0.01]"
-    )
-    parser.add_argument("--foreign", type=Path, help="another tile to compare with, such as FAST's")
+    parser.add_argument("--spp", type=int, default=512, help="samples of a reference [512]")
+    return parser
+
+
+def begin(parser):
+    """Reads the arguments. With them the kernel through which errors are seen, and the model of
+    vision, if there is one."""
     args = parser.parse_args()
     if args.frames <= FIRST or args.spp % render.PASS or args.spp < render.PASS:
         parser.error(f"--frames must be above {FIRST} and --spp a multiple of {render.PASS}")
     args.out.mkdir(parents=True, exist_ok=True)
-    kernel = measure.Kernel.of(args.program, tiles.perception(tiles.SIGMA))
-    vision = Vision.load()
+    return args, measure.Kernel.of(args.program, tiles.perception(tiles.SIGMA)), Vision.load()
+
+
+def main():
+    """Reads the arguments, renders, selects, measures, and prints a table for each scene."""
+    parser = parser_of(__doc__)
+    parser.add_argument("--scenes", default="cornell,path,shadows,veach", help="names of scenes")
+    parser.add_argument(
+        "--ends", default=str(END), help="where λ ends with a guide, with commas [0.01]"
+    )
+    parser.add_argument("--foreign", type=Path, help="another tile to compare with, such as FAST's")
+    args, kernel, vision = begin(parser)
     results = {}
     for name in args.scenes.split(","):
         folder = args.out / name
@@ -206,14 +214,7 @@ def page(args, results, kernel):
     16 and as the eye sees them."""
     (args.out / "pictures").mkdir(exist_ok=True)
     scenes = [scene_data(args.out, name, result, kernel) for name, result in results.items()]
-    data = {
-        "format": 1,
-        "title": "A posteriori",
-        "command": shlex.join(["python", *sys.argv]),
-        "machine": f"{platform.machine()}, {os.cpu_count()} cores, Mitsuba 3",
-        "scenes": scenes,
-    }
-    (args.out / "renders.json").write_text(json.dumps(data, ensure_ascii=False, indent=1))
+    write_renders(args.out, "A posteriori", scenes=scenes)
 
 
 def scene_data(out, name, result, kernel):

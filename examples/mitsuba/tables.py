@@ -432,14 +432,23 @@ def write(setup, results):
             setup, results["path_traced"], "", "", {"plain": keys, "taa": keys}, []
         )
     (setup.folder / "tables.md").write_text("\n".join(table.markdown() for table in made))
+    write_renders(
+        setup.folder,
+        "Renders",
+        scenes=scenes,
+        tables=[table.data() for table in made],
+        plots=drawn,
+        figures=list(figures(results)),
+    )
+
+
+def write_renders(folder, title, **parts):
+    """Writes `renders.json`: what a report shows of a folder."""
     data = {
         "format": 1,
-        "title": "Renders",
+        "title": title,
         "command": shlex.join(["python", *sys.argv]),
         "machine": f"{platform.machine()}, {os.cpu_count()} cores, Mitsuba 3",
-        "scenes": scenes,
-        "tables": [table.data() for table in made],
-        "plots": drawn,
-        "figures": list(figures(results)),
+        **parts,
     }
-    (setup.folder / "renders.json").write_text(json.dumps(data, ensure_ascii=False, indent=1))
+    (folder / "renders.json").write_text(json.dumps(data, ensure_ascii=False, indent=1))
