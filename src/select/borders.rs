@@ -138,7 +138,7 @@ impl Borders {
 
     /// The residual and the weights of a frame.
     pub fn after_prepare(&mut self, plan: &WindowPlan, window: &mut Window, frame: usize) {
-        let seen = |rows: &Range<usize>| seen(plan, frame..frame + 1, rows);
+        let seen = |rows: &Range<usize>| seen(plan, frame, rows);
         self.prepares.exchange(
             &self.borders,
             window,
@@ -166,7 +166,7 @@ impl Borders {
     ) {
         let seen = |border: &Border| {
             let rows = border.shared.clone();
-            frames.clone().flat_map(move |frame| seen(plan, frame..frame + 1, &rows))
+            frames.clone().flat_map(move |frame| seen(plan, frame, &rows))
         };
         let pictures = |rows: &Range<usize>| pictures(plan, frame, rows);
         self.visits[colour].exchange(
@@ -196,15 +196,14 @@ fn pictures(
     (0..plan.shape.channels()).map(of).collect::<Vec<_>>().into_iter()
 }
 
-/// Where padded rows of frames are, channel by channel.
+/// Where padded rows of a frame are, channel by channel.
 fn seen(
     plan: &WindowPlan,
-    frames: Range<usize>,
+    frame: usize,
     rows: &Range<usize>,
 ) -> impl Iterator<Item = Range<usize>> + use<> {
-    let of = |frame| (0..plan.shape.channels()).map(move |c| (frame, c));
-    let all = frames.flat_map(of).map(|(frame, c)| plan.seen_rows(frame, c, rows.clone()));
-    all.collect::<Vec<_>>().into_iter()
+    let of = |c| plan.seen_rows(frame, c, rows.clone());
+    (0..plan.shape.channels()).map(of).collect::<Vec<_>>().into_iter()
 }
 
 /// The borders of a rank with those before and behind it.

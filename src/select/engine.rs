@@ -79,7 +79,7 @@ impl Engine {
         communicator: Arc<dyn Communicator>,
     ) -> Result<Self, SelectError> {
         let ready = plan.ready()?;
-        let window_plan = plan.window(&ready, communicator.rank());
+        let window_plan = ready.window(plan, communicator.rank());
         let memory = window_plan.private();
         // Nobody goes on alone.
         let mut failed = [i64::from(memory.is_err())];
@@ -93,13 +93,13 @@ impl Engine {
     }
 
     /// The wave that is next.
-    pub fn next(&self) -> usize {
+    pub fn wave(&self) -> usize {
         self.wave
     }
 
-    /// Whether nothing was done yet.
-    pub fn is_new(&self) -> bool {
-        self.wave == 0
+    /// The window of a rank of the plan that this is part of.
+    pub fn window_of(&self, plan: &SelectPlan, rank: usize) -> WindowPlan {
+        WindowPlan::new(plan, &self.footprint, self.schedule, rank)
     }
 
     /// Begins with a wave in the middle.

@@ -24,16 +24,18 @@ pub struct Candidates {
 
 impl Candidates {
     /// Number of candidates of a pixel.
-    ///
-    /// # Errors
-    /// None, or too many.
-    pub fn count(&self) -> Result<usize, SelectError> {
+    pub fn count(&self) -> usize {
+        if self.subsets { (1 << self.renders) - 1 } else { self.renders }
+    }
+
+    /// Checks the number of renders.
+    fn validate(&self) -> Result<(), SelectError> {
         let Self { renders, subsets, .. } = *self;
         let most = if subsets { MAX_SUBSET_RENDERS } else { MAX_CANDIDATES };
-        if !(1..=most).contains(&renders) {
-            return Err(SelectError::Renders { renders, most, subsets });
+        match (1..=most).contains(&renders) {
+            true => Ok(()),
+            false => Err(SelectError::Renders { renders, most, subsets }),
         }
-        Ok(if subsets { (1 << renders) - 1 } else { renders })
     }
 }
 
@@ -80,23 +82,24 @@ impl SelectPlan {
         parallelism: SelectParallelism,
     ) -> Result<Self, SelectError> {
         options.validate()?;
-        candidates.count()?;
+        candidates.validate()?;
         let plan = Self { shape, filters, candidates, options, parallelism };
-        let (strips, ranks) = (plan.strips()?, parallelism.ranks);
+        let ranks = parallelism.ranks;
+        let strips = plan.ready()?.window(&plan, 0).strips.len();
         if ranks > strips {
             return Err(SelectError::Ranks { ranks, strips, height: shape.height() });
         }
         Ok(plan)
     }
 
-    /// Strips of a picture, of which each rank has at least one.
-    fn strips(&self) -> Result<usize, SelectError> {
-        Ok(self.window(&self.ready()?, 0).strips.len())
-    }
-
     /// The size of the animation.
     pub fn shape(&self) -> AnimationShape {
         self.shape
+    }
+
+    /// What a pixel can be.
+    pub fn candidates(&self) -> Candidates {
+        self.candidates
     }
 
     /// How it is selected.
@@ -121,8 +124,8 @@ impl SelectPlan {
     /// A kernel that is too large.
     pub fn foreseen(&self) -> Result<(usize, usize), SelectError> {
         let ready = self.ready()?;
-        let bytes = (0..self.parallelism.ranks).map(|rank| self.window(&ready, rank).bytes());
-        Ok((bytes.max().unwrap_or(0), self.window(&ready, 0).pictures))
+        let bytes = (0..self.parallelism.ranks).map(|rank| ready.window(self, rank).bytes());
+        Ok((bytes.max().unwrap_or(0), ready.window(self, 0).pictures))
     }
 
     pub(super) fn ready(&self) -> Result<Ready, SelectError> {
@@ -146,9 +149,11 @@ impl SelectPlan {
             lambdas,
         })
     }
+}
 
-    pub(super) fn window(&self, ready: &Ready, rank: usize) -> WindowPlan {
-        let seen = (&ready.footprint, ready.schedule.spread());
-        WindowPlan::new(self, seen, rank)
+impl Ready {
+    /// The window of a rank of the plan that this is made of.
+    pub fn window(&self, plan: &SelectPlan, rank: usize) -> WindowPlan {
+        WindowPlan::new(plan, &self.footprint, self.schedule, rank)
     }
 }

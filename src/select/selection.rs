@@ -80,19 +80,17 @@ impl Selection {
         simd: Simd,
         communicator: Arc<dyn Communicator>,
     ) -> Result<Self, SelectError> {
-        let engine = Engine::of_rank(plan, simd, communicator)?;
-        Self::with_engine(plan, engine)
+        Ok(Self::with_engine(plan, Engine::of_rank(plan, simd, communicator)?))
     }
 
     /// The owner of a selection that an engine is part of.
-    pub(super) fn with_engine(plan: &SelectPlan, engine: Engine) -> Result<Self, SelectError> {
-        let ready = plan.ready()?;
+    pub(super) fn with_engine(plan: &SelectPlan, engine: Engine) -> Self {
         let ranks = (0..plan.parallelism.ranks).map(|rank| {
-            let of_rank = plan.window(&ready, rank);
+            let of_rank = engine.window_of(plan, rank);
             let (own, strips) = (of_rank.own_rows(), of_rank.own.len());
             Rows { own, held: of_rank.held, strips }
         });
-        Ok(Self {
+        Self {
             shape: plan.shape,
             has_taa: plan.filters.taa.is_some(),
             ranks: ranks.collect(),
@@ -103,7 +101,7 @@ impl Selection {
             chosen: vec![0; engine.mixture.candidates()],
             changes: vec![0; engine.lambdas.len()],
             engine,
-        })
+        }
     }
 
     fn communicator(&self) -> Arc<dyn Communicator> {
@@ -116,7 +114,7 @@ impl Selection {
 
     /// The frames that the next wave needs and that are not there yet.
     pub fn needed(&self) -> Range<usize> {
-        self.loaded..self.engine.schedule.started(self.engine.next() + 1).max(self.loaded)
+        self.loaded..self.engine.schedule.started(self.engine.wave() + 1).max(self.loaded)
     }
 
     /// Takes in the next frame; at the root of several ranks, hands on what they need of it. They take
@@ -213,7 +211,7 @@ impl Selection {
     /// The choices, if the next wave makes the residual anew: [`Self::restore`] goes on from there.
     /// Called before frames are loaded for that wave; by all ranks, of which the root gets them.
     pub fn state(&self) -> Option<SelectState> {
-        let wave = self.engine.next();
+        let wave = self.engine.wave();
         if !Schedule::is_renewal(wave) {
             return None;
         }
@@ -253,7 +251,7 @@ impl Selection {
             && sums.fits(self.engine.plan.renders)
             && chosen.len() == self.chosen.len()
             && changes.len() == self.changes.len();
-        if !fits || !self.engine.is_new() || self.loaded > 0 {
+        if !fits || self.engine.wave() > 0 || self.loaded > 0 {
             return Err(SelectError::State);
         }
         self.go_on_from(wave);
@@ -275,7 +273,7 @@ impl Selection {
 
     /// The wave that is next.
     pub fn wave(&self) -> usize {
-        self.engine.next()
+        self.engine.wave()
     }
 
     /// Goes on by a wave: `done` gets the number, the picture (channel by channel) and the choices of
@@ -334,47 +332,58 @@ impl Selection {
 
     /// Puts all ranks' choices of a frame together, at the root.
     fn gather_choices(&self, frame: usize, out: &mut [u8]) {
-        let (plan, communicator) = (&self.engine.plan, self.communicator());
-        let rows = plan.own_rows();
-        let own = &self.engine.window.choice.whole()[plan.choice_rows(frame, rows)];
-        if communicator.rank() > 0 {
-            communicator.send(0, &words(own));
-            return;
+        let plan = &self.engine.plan;
+        let own = &self.engine.window.choice.whole()[plan.choice_rows(frame, plan.own_rows())];
+        let communicator = self.communicator();
+        self.gather(
+            own,
+            out,
+            |own| communicator.send(0, &words(own)),
+            |rank, part| {
+                let mut words = vec![0; part.len().div_ceil(4)];
+                communicator.receive(rank, &mut words);
+                part.copy_from_slice(&cast_slice(&words)[..part.len()]);
+            },
+        );
+    }
+
+    /// Puts all ranks' rows of a frame together, at the root.
+    fn gather_picture(&self, frame: usize, out: &mut [f32]) {
+        let plan = &self.engine.plan;
+        let current = self.engine.window.current.whole();
+        let communicator = self.communicator();
+        for (channel, plane) in out.chunks_exact_mut(self.shape.pixels()).enumerate() {
+            let own = &current[plan.picture_rows(frame, channel, plan.own_rows())];
+            self.gather(
+                own,
+                plane,
+                |own| communicator.send(0, cast_slice(own)),
+                |rank, part| {
+                    communicator.receive(rank, cast_slice_mut(part));
+                },
+            );
+        }
+    }
+
+    /// Puts all ranks' rows of a plane together, at the root; other ranks send theirs.
+    fn gather<T: Copy>(
+        &self,
+        own: &[T],
+        out: &mut [T],
+        send: impl FnOnce(&[T]),
+        receive: impl Fn(usize, &mut [T]),
+    ) {
+        if self.rank() > 0 {
+            return send(own);
         }
         let mut rest = out;
         for (rank, of_rank) in self.ranks.iter().enumerate() {
             let (part, behind) = rest.split_at_mut(of_rank.own.len() * self.shape.width());
             match rank {
                 0 => part.copy_from_slice(own),
-                _ => {
-                    let mut words = vec![0; part.len().div_ceil(4)];
-                    communicator.receive(rank, &mut words);
-                    part.copy_from_slice(&cast_slice(&words)[..part.len()]);
-                }
+                _ => receive(rank, part),
             }
             rest = behind;
-        }
-    }
-
-    /// Puts all ranks' rows of a frame together, at the root.
-    fn gather_picture(&self, frame: usize, out: &mut [f32]) {
-        let (plan, communicator) = (&self.engine.plan, self.communicator());
-        let current = self.engine.window.current.whole();
-        for (channel, plane) in out.chunks_exact_mut(self.shape.pixels()).enumerate() {
-            let own = &current[plan.picture_rows(frame, channel, plan.own_rows())];
-            if communicator.rank() > 0 {
-                communicator.send(0, cast_slice(own));
-                continue;
-            }
-            let mut rest = plane;
-            for (rank, of_rank) in self.ranks.iter().enumerate() {
-                let (part, behind) = rest.split_at_mut(of_rank.own.len() * self.shape.width());
-                match rank {
-                    0 => part.copy_from_slice(own),
-                    _ => communicator.receive(rank, cast_slice_mut(part)),
-                }
-                rest = behind;
-            }
         }
     }
 

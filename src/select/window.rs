@@ -18,6 +18,7 @@ use perceptile_cluster::shared::{Arena, Board, BoardPlan, Map, Parts};
 use super::footprint::Footprint;
 use super::options::Norm;
 use super::plan::SelectPlan;
+use super::schedule::Schedule;
 use super::score::methods;
 use super::strips::Strips;
 use super::visit::CELL;
@@ -53,11 +54,11 @@ pub(super) struct WindowPlan {
 }
 
 impl WindowPlan {
-    /// For a rank, sweeps that see a footprint, the first of which is `spread` frames ahead of the last.
-    pub fn new(plan: &SelectPlan, (footprint, spread): (&Footprint, usize), rank: usize) -> Self {
+    /// For a rank, of sweeps that see a footprint.
+    pub fn new(plan: &SelectPlan, footprint: &Footprint, schedule: Schedule, rank: usize) -> Self {
         let SelectPlan { shape, candidates, options, parallelism, .. } = plan;
         let [left, top, _, bottom] = footprint.margins();
-        let ahead = footprint.frames() - 1;
+        let (ahead, spread) = (footprint.frames() - 1, schedule.spread());
         let frames = |count: usize| count.min(shape.frames());
         let strips = Strips::new(shape.height(), footprint.height);
         let share = |rank: usize| strips.len() * rank / parallelism.ranks;

@@ -5,9 +5,7 @@
 //! reaped, what it left half done is taken back, and another takes its place.
 
 use std::fs::File;
-use std::hash::{BuildHasher, RandomState};
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use perceptile_cluster::affinity::{self, AffinityError};
@@ -17,7 +15,7 @@ use perceptile_cluster::faults::{FaultPlan, FaultSite};
 use perceptile_cluster::process::{
     self, Launch, ProcessError, Workers, WorkersOptions, memory_file, this_program,
 };
-use perceptile_cluster::shared::{Arena, Counter, Map, MapError, MapHeader};
+use perceptile_cluster::shared::{Arena, Map, MapError, MapHeader};
 use rayon::{ThreadPoolBuildError, ThreadPoolBuilder};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
@@ -31,12 +29,8 @@ use crate::gradient::simd::Simd;
 
 /// The name and version that coordinator and workers must share.
 const VERSION: &str = concat!("perceptile select ", env!("CARGO_PKG_VERSION"));
-/// How long a worker may take until it is ready.
-const PATIENCE: Duration = Duration::from_secs(60);
 /// Between two looks at the workers.
 const LOOK: Duration = Duration::from_millis(5);
-/// How long workers may take to end by themselves when all is done.
-const FAREWELL: Duration = Duration::from_millis(300);
 /// Most memory that a task may ask for: kernels of millions of taps are long.
 const TASK_LIMIT: usize = 1 << 30;
 
@@ -115,12 +109,12 @@ impl Crew {
         options: WorkersOptions,
     ) -> Result<(Self, Vec<Selection>), CrewError> {
         let bytes = plan.foreseen()?.0.saturating_mul(selections);
-        let header = MapHeader { len: bytes as u64, run: RandomState::new().hash_one(1) };
+        let header = MapHeader::new(bytes as u64);
         let (file, folder) = memory_file(header.len, &options.folder)?;
         let mut arena = Arena::new(Map::create(&file, folder, header)?);
         let owner = |_| {
             let engine = engine(plan, &mut arena, (0, None), simd)?;
-            Selection::with_engine(plan, engine)
+            Ok(Selection::with_engine(plan, engine))
         };
         let owners = (0..selections).map(owner).collect::<Result<Vec<_>, SelectError>>()?;
         let crew = Self {
@@ -166,7 +160,7 @@ impl Crew {
                 error,
             })?,
             affinity,
-            patience: PATIENCE,
+            patience: Launch::PATIENCE,
             silence: self.options.silence,
         };
         Ok(Workers::start(launch)?)
@@ -218,10 +212,7 @@ impl Crew {
         report: &mut dyn FnMut(&str),
     ) -> Result<(), CrewError> {
         let Some(workers) = &mut self.workers else { return Ok(()) };
-        let beats = selections[0].engine.worker.board();
-        let losses =
-            workers.check(|index| beats.counter(index, Counter::Beats).load(Ordering::Relaxed));
-        for loss in losses {
+        for loss in workers.losses(selections[0].engine.worker.board()) {
             for selection in selections {
                 selection.engine.worker.board().release_worker(loss.worker);
             }
@@ -239,7 +230,7 @@ impl Crew {
     /// Lets the workers go when all is done. Returns how many were replaced.
     pub fn finish(self) -> u32 {
         if let Some(workers) = self.workers {
-            workers.finish(FAREWELL);
+            workers.finish(Workers::FAREWELL);
         }
         self.replaced
     }
@@ -253,7 +244,7 @@ fn engine(
     simd: Simd,
 ) -> Result<Engine, SelectError> {
     let ready = plan.ready()?;
-    let window_plan = plan.window(&ready, 0);
+    let window_plan = ready.window(plan, 0);
     let (worker, window) = window_plan.open(arena, index, faults.map(faults::plan));
     let memory = (window_plan, worker, window);
     Ok(Engine::new(ready, memory, Arc::new(Single), (plan.options.norm, simd)))

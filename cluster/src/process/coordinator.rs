@@ -14,6 +14,7 @@ use std::os::unix::net::UnixStream;
 use std::os::unix::process::CommandExt;
 use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
+use std::sync::atomic::Ordering;
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -22,6 +23,7 @@ use super::loss::{Cause, Loss};
 use super::message::{Control, MessageError, Socket, frame, greeting, wait_for_any};
 use super::program;
 use crate::affinity::Processors;
+use crate::shared::{Board, Counter};
 
 /// The most that one look adds to the time for which a worker counts as silent.
 const LONGEST_LOOK: Duration = Duration::from_millis(100);
@@ -78,7 +80,17 @@ enum WorkerState {
     Done(Vec<u8>),
 }
 
+impl Launch {
+    /// How long a worker should be given until it is ready: what it prepares may be large, machines
+    /// slow.
+    pub const PATIENCE: Duration = Duration::from_secs(60);
+}
+
 impl Workers {
+    /// How long workers should be given to end by themselves when all is done; one that hangs is ended
+    /// then.
+    pub const FAREWELL: Duration = Duration::from_millis(300);
+
     /// Starts all workers side by side, and waits until every one is ready, or was: one that is
     /// lost after that is a loss as any, for [`check`](Self::check) to give.
     ///
@@ -127,6 +139,11 @@ impl Workers {
     pub fn check(&mut self, beat: impl Fn(usize) -> u64) -> Vec<Loss> {
         let (_, losses) = self.look(|index| Some(beat(index)));
         self.early.drain(..).chain(losses.into_iter().map(|(_, loss)| loss)).collect()
+    }
+
+    /// [`check`](Self::check), where workers beat on a board.
+    pub fn losses(&mut self, board: &Board) -> Vec<Loss> {
+        self.check(|index| board.counter(index, Counter::Beats).load(Ordering::Relaxed))
     }
 
     /// Starts a worker in the place of a lost one, and does not wait for it: that it is ready, or

@@ -242,13 +242,18 @@ impl Board {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::shared::{Map, Shards};
+    use crate::shared::{Map, Parts, Shards};
 
     const PLAN: BoardPlan = BoardPlan { workers: 3, threads: 2, jobs: 5, journal: 64 };
 
     fn board() -> (Board, Arena) {
         let mut arena = Arena::new(Map::private(PLAN.room() + 4096).unwrap());
         (Board::new(&mut arena, PLAN), arena)
+    }
+
+    fn eight_numbers_each(arena: &mut Arena) -> Parts<f32> {
+        let of_job = |job: usize| std::iter::once(job * 8..job * 8 + 8).collect();
+        arena.take(400).parts((0..5).map(of_job).collect())
     }
 
     #[test]
@@ -287,9 +292,7 @@ mod tests {
     #[test]
     fn what_a_dead_worker_had_is_released_and_what_it_had_open_is_ended() {
         let (board, mut arena) = board();
-        let mut parts = arena
-            .take(400)
-            .parts::<f32>((0..5).map(|i| std::iter::once(i * 8..i * 8 + 8).collect()).collect());
+        let mut parts = eight_numbers_each(&mut arena);
         parts.whole_mut().fill(1.0);
         // Thread 3 is worker 1's second. It dies in the second unit of its job.
         {
@@ -320,9 +323,7 @@ mod tests {
     #[test]
     fn a_change_in_place_that_a_dead_worker_left_half_done_is_taken_back() {
         let (board, mut arena) = board();
-        let mut parts = arena
-            .take(400)
-            .parts::<f32>((0..5).map(|i| std::iter::once(i * 8..i * 8 + 8).collect()).collect());
+        let mut parts = eight_numbers_each(&mut arena);
         let claim = board.claim(7, 4, 3).unwrap();
         {
             let shards = (&mut parts,);

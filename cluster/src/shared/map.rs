@@ -5,6 +5,7 @@
 //! dozen rows that lie pages apart.
 
 use std::fs::File;
+use std::hash::{BuildHasher, RandomState};
 use std::io;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -88,6 +89,11 @@ impl MapHeader {
     pub const BYTES: usize = 4096;
     const MAGIC: [u8; 8] = *b"PRCPTSHM";
     const VERSION: u64 = 1;
+
+    /// The header of so many bytes of a new run.
+    pub fn new(len: u64) -> Self {
+        Self { len, run: RandomState::new().hash_one(len) }
+    }
 
     /// Bytes of the file; saturating.
     fn file_len(self) -> usize {

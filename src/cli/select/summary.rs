@@ -72,10 +72,12 @@ pub fn intent(
     let what = match inputs.display {
         Some(display) => format!("{} levels", display.levels),
         None => {
-            let (renders, subsets) = inputs.renders();
-            let candidates = if subsets { (1_usize << renders) - 1 } else { renders };
-            let means =
-                if subsets { format!(", means of {renders} renders") } else { String::new() };
+            let candidates = plan.candidates();
+            let means = match candidates.subsets {
+                true => format!(", means of {} renders", candidates.renders),
+                false => String::new(),
+            };
+            let candidates = candidates.count();
             format!("{candidates} candidate{}{means}", if candidates == 1 { "" } else { "s" })
         }
     };

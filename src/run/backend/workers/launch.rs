@@ -1,8 +1,6 @@
 //! Starting workers: the memory that they share, what lies in it, and what each is sent.
 
-use std::hash::{BuildHasher, RandomState};
 use std::sync::Arc;
-use std::time::Duration;
 
 use perceptile_cluster::process::{Launch, Workers, memory_file, this_program};
 use perceptile_cluster::shared::{Map, MapHeader, allocate};
@@ -16,9 +14,6 @@ use crate::run::plan::Plan;
 use crate::run::start::InitialState;
 use crate::solver::Storage;
 use crate::tile::Region;
-
-/// How long a worker may take until it is ready: kernels may be large, machines slow.
-const PATIENCE: Duration = Duration::from_secs(60);
 
 /// Starts the workers of a plan on memory that holds what it starts from.
 pub(super) fn launch(
@@ -35,7 +30,7 @@ pub(super) fn launch(
         report(&format!("worker {index} runs on {processors}"));
     }
     let storage = plan.storage(Region::whole(plan.options.shape));
-    let header = MapHeader { len: storage.bytes() as u64, run: RandomState::new().hash_one(1) };
+    let header = MapHeader::new(storage.bytes() as u64);
     let (file, folder) = memory_file(header.len, &options.folder)?;
     for (index, processors) in affinity.iter().flatten().enumerate() {
         // Memory lies near whoever touches it first.
@@ -60,7 +55,7 @@ pub(super) fn launch(
         payload: codec::encode(&task).map_err(RunError::Task)?,
         memory: file,
         affinity,
-        patience: PATIENCE,
+        patience: Launch::PATIENCE,
         silence: options.silence,
     };
     Ok((Workers::start(launch)?, worker, storage))

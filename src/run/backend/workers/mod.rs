@@ -12,7 +12,7 @@ use std::time::Duration;
 
 use perceptile_cluster::Worker;
 pub use perceptile_cluster::process::WorkersOptions;
-use perceptile_cluster::process::{Cause, Loss, Workers};
+use perceptile_cluster::process::{Cause, Workers};
 use perceptile_cluster::shared::{Board, Counter};
 
 use super::Backend;
@@ -32,8 +32,6 @@ pub mod task;
 
 /// Between two looks at the workers.
 const PAUSE: Duration = Duration::from_millis(5);
-/// How long workers may take to end by themselves when all is done; one that hangs is ended then.
-const FAREWELL: Duration = Duration::from_millis(300);
 
 /// The workers of a run and what they are doing.
 pub struct Supervisor<'a> {
@@ -188,7 +186,7 @@ impl Backend for Supervisor<'_> {
     fn advance(&mut self, watch: &mut Watch<'_>) -> Result<(), RunError> {
         std::thread::sleep(PAUSE);
         let Some(workers) = &mut self.workers else { return Ok(()) };
-        for loss in losses(workers, &self.worker) {
+        for loss in workers.losses(self.worker.board()) {
             self.worker.board().release_worker(loss.worker);
             if self.replaced == self.options.replacements {
                 return self.give_up(&loss.cause, watch);
@@ -204,7 +202,7 @@ impl Backend for Supervisor<'_> {
 
     fn finish(self) -> (Storage, ParallelSummary) {
         if let Some(workers) = self.workers {
-            workers.finish(FAREWELL);
+            workers.finish(Workers::FAREWELL);
         }
         let storage = self.storage.expect("a run that was given up has no end");
         (storage, ParallelSummary::Workers(summary(&self.worker, self.replaced)))
@@ -226,18 +224,13 @@ pub fn run_task(
         launch::launch(plan, start, simd, options, Some(task), &mut |_| ())?;
     let lost = |cause| RunError::Lost { lost: 1, cause, kept: String::new() };
     while workers.pids().iter().any(Option::is_some) {
-        if let Some(loss) = losses(&mut workers, &worker).into_iter().next() {
+        if let Some(loss) = workers.losses(worker.board()).into_iter().next() {
             return Err(lost(loss.cause.to_string()));
         }
         std::thread::sleep(PAUSE);
     }
-    let reports = workers.finish(FAREWELL).into_iter().collect::<Option<Vec<Vec<u8>>>>();
+    let reports = workers.finish(Workers::FAREWELL).into_iter().collect::<Option<Vec<Vec<u8>>>>();
     reports.ok_or_else(|| lost("did not report".into()))
-}
-
-/// Workers that are no more, dead or hung.
-fn losses(workers: &mut Workers, worker: &Worker) -> Vec<Loss> {
-    workers.check(|index| worker.board().counter(index, Counter::Beats).load(Ordering::Relaxed))
 }
 
 /// What the counters of a board say.
