@@ -220,6 +220,17 @@ fn half_floats_stay_half_floats_and_subsets_have_colours_only() {
     let list = &image.layer_data.channel_data.list;
     assert_eq!(list.len(), 3);
     assert!(list.iter().all(|channel| matches!(channel.sample_data, FlatSamples::F16(_))));
+    // They are kept as such: a later frame that has more digits would lose them.
+    for name in ["reference", "a", "b", "c"] {
+        let path = folder.path().join(name).join("x.0002.exr");
+        write_rgb_file(path, 7, 5, |x, y| (0.1_f32, x as f32, y as f32)).unwrap();
+    }
+    let out = folder.path().join("other.####.exr");
+    let further = ["--out", out.to_str().unwrap()];
+    let refused = perceptile().args(arguments(folder.path(), EXR, &further)).output().unwrap();
+    assert_eq!(refused.status.code(), Some(1));
+    let message = String::from_utf8(refused.stderr).unwrap();
+    assert!(message.contains("x.0002.exr has 32-bit colours"), "{message}");
 }
 
 #[test]
