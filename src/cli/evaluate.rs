@@ -10,7 +10,7 @@ use perceptile::metric::{Baseline, Class, Domain, ScoreOptions, ScoredTile, digi
 use perceptile::report::pictures::spectrum_picture;
 use serde::Serialize;
 
-use super::candidates::{self, Candidate, progress};
+use super::candidates::{self, Candidate, PartsArgs, progress};
 use super::exit::{Exit, Failure};
 use super::integrands::IntegrandsArgs;
 use super::perceived::PerceivedArgs;
@@ -46,6 +46,9 @@ pub struct EvaluateArgs {
     require: Vec<(Class, f64)>,
 
     #[command(flatten)]
+    parts: PartsArgs,
+
+    #[command(flatten)]
     kernel: PerceivedArgs,
 
     #[command(flatten)]
@@ -76,7 +79,8 @@ pub struct EvaluateArgs {
 const EXAMPLES: &str = "\
 Examples:
   perceptile evaluate tile.npy --baselines white
-  perceptile evaluate mine.npy FAST.npy stbn-slices --fps 120 --taa 0.1";
+  perceptile evaluate mine.npy FAST.npy stbn-slices --fps 120 --taa 0.1
+  perceptile evaluate sequence.npy --prefix 1,2,4,8,16 --baselines sobol";
 
 /// All that the command found out, as `--json` prints it.
 #[derive(Debug, Serialize)]
@@ -91,10 +95,18 @@ struct Evaluation {
     options: ScoreOptions,
     /// Name of the tile that the others are compared with.
     against: String,
+    /// Parts that every tile is scored in, which stand side by side: prefixes, phases.
+    #[serde(skip)]
+    parts: usize,
     tiles: Vec<ScoredTile>,
 }
 
 impl Evaluation {
+    /// What a tile is compared with: the same part of the first tile, if it is not that itself.
+    fn reference(&self, place: usize) -> Option<&ScoredTile> {
+        (place >= self.parts).then(|| &self.tiles[place % self.parts])
+    }
+
     /// Whether a tile is one of white noise that repeats within the kernel. Then it has more error than
     /// the white noise that scores are relative to.
     fn is_repeated_noise(&self, tile: &ScoredTile) -> bool {
@@ -114,6 +126,9 @@ pub fn run(args: EvaluateArgs) -> Result<(), Failure> {
     args.kernel.check()?;
     let candidates = candidates(&args)?;
     let kernel = args.kernel.choose(&args.tiles[0], &candidates)?;
+    let tiles = candidates.len() + args.baselines.len();
+    let candidates = args.parts.of(candidates, &args.baselines)?;
+    let parts = candidates.len() / tiles;
     let existing = Existing::from_force(args.force);
     if let Some(folder) = &args.spectra {
         write::make_folder(folder)?;
@@ -143,7 +158,8 @@ pub fn run(args: EvaluateArgs) -> Result<(), Failure> {
     // The tile to compare with is always put first.
     let against = tiles[0].name.clone();
     let (kernel, kernel_origin) = (kernel.spec.to_string(), kernel.origin);
-    let report = Evaluation { kernel, kernel_origin, kernel_frames, options, against, tiles };
+    let report =
+        Evaluation { kernel, kernel_origin, kernel_frames, options, against, parts, tiles };
     show(args.json, &report, || table::table(&report, args.all))?;
     check(&args, &report.tiles)
 }
@@ -181,7 +197,7 @@ fn candidates(args: &EvaluateArgs) -> Result<Vec<Candidate>, Failure> {
         paths.retain(|path| !source::is_same(path, against));
         paths.insert(0, against.clone());
     }
-    candidates::read(paths, &args.source, &args.baselines)
+    candidates::read(paths, &args.source)
 }
 
 /// Where a spectrum is saved.
@@ -236,7 +252,9 @@ mod tests {
         let [a, b, old, white] = ["a.npy", "b.npy", "old/a.npy", "white.npy"]
             .map(|name| save(folder.path(), name, name.len() as u64));
         let names = |line: &[&str]| -> Vec<String> {
-            candidates(&parse(line)).unwrap().into_iter().map(|c| c.name).collect()
+            let args = parse(line);
+            let parts = args.parts.of(candidates(&args).unwrap(), &args.baselines);
+            parts.unwrap().into_iter().map(|c| c.name).collect()
         };
         assert_eq!(names(&[&a, &b, &old]), ["a", "b", "a-2"]);
         assert_eq!(names(&[&a, &b, "--against", &b]), ["b", "a"]);
@@ -245,6 +263,35 @@ mod tests {
             names(&[&a, &white, "--baselines", "white,sobol"]),
             ["a", "white", "white-2", "sobol"]
         );
+    }
+
+    #[test]
+    fn tiles_are_looked_at_in_parts() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.npy");
+        let tile = Baseline::White.tile(TileShape::new(8, 8, 4, 3, 2).unwrap(), 1);
+        let mut file = fs::File::create(&path).unwrap();
+        perceptile::format::npy::write_tile(&tile, &mut file).unwrap();
+        let path = path.to_str().unwrap();
+        let parts = |flags: &[&str]| {
+            let args = parse(&[&[path, "--baselines", "white"], flags].concat());
+            let parts = args.parts.of(candidates(&args).unwrap(), &args.baselines);
+            parts.map(|parts| parts.into_iter().map(|part| part.name).collect::<Vec<_>>())
+        };
+        assert_eq!(parts(&[]).unwrap(), ["a", "white"]);
+        let prefixes = ["a-first-1", "a-first-3", "white-first-1", "white-first-3"];
+        assert_eq!(parts(&["--prefix", "1,3"]).unwrap(), prefixes);
+        let phases = parts(&["--prefix", "2", "--stride", "2"]).unwrap();
+        assert_eq!(phases[..2], ["a-first-2-phase-0-of-2", "a-first-2-phase-1-of-2"]);
+        let error = |flags: &[&str]| parts(flags).unwrap_err().to_string();
+        assert!(
+            error(&["--prefix", "1,4"]).contains("--prefix is 4, but it must be from 1 to the 3")
+        );
+        assert!(error(&["--prefix", "0"]).contains("--prefix is 0"));
+        assert!(
+            error(&["--stride", "3"]).contains("--stride is 3, but it must divide the 4 frames")
+        );
+        assert!(error(&["--stride", "0"]).contains("--stride is 0"));
     }
 
     #[test]

@@ -9,7 +9,7 @@ use perceptile::metric::Baseline;
 use perceptile::report::{Report, ReportOptions};
 use perceptile::run::signals::Signals;
 
-use super::candidates::{self, progress};
+use super::candidates::{self, PartsArgs, progress};
 use super::exit::{Failure, Misuse};
 use super::integrands::IntegrandsArgs;
 use super::perceived::PerceivedArgs;
@@ -49,6 +49,9 @@ pub struct ReportArgs {
     force: bool,
 
     #[command(flatten)]
+    parts: PartsArgs,
+
+    #[command(flatten)]
     kernel: PerceivedArgs,
 
     #[command(flatten)]
@@ -70,8 +73,12 @@ pub fn run(args: ReportArgs) -> Result<ExitCode, Failure> {
     scores.validate()?;
     args.kernel.check()?;
     check_name(&args.out, args.force)?;
-    let candidates = candidates::read(args.tiles.clone(), &args.source, &[Baseline::White])?;
+    let candidates = candidates::read(args.tiles.clone(), &args.source)?;
     let kernel = args.kernel.choose(&args.tiles[0], &candidates)?;
+    let mut candidates = args.parts.of(candidates, &[Baseline::White])?;
+    // White noise is white in all of its parts.
+    let noise = candidates.iter().position(|candidate| candidate.path.is_none());
+    candidates.truncate(noise.map_or(candidates.len(), |first| first + 1));
     let options = ReportOptions {
         kernel: kernel.spec.clone(),
         alpha: ALPHA,
@@ -137,6 +144,8 @@ impl ReportArgs {
         if let Some(renders) = &self.renders {
             flag("renders", renders.display().to_string());
         }
+        words.extend(self.parts.command_line());
+        let mut flag = |name: &str, value: String| words.extend([format!("--{name}"), value]);
         let scores = self.integrands.options();
         flag("integrands", scores.integrands.to_string());
         flag("set", scores.set.to_string());
@@ -163,13 +172,23 @@ mod tests {
 
     #[test]
     fn the_command_says_all_but_the_folder() {
-        let args =
-            ["here", "a b.npy", "--spp=2", "--taa=0.1", "--renders=r", "--force", "--", "-x"];
+        let args = [
+            "here",
+            "a b.npy",
+            "--spp=2",
+            "--prefix=1,2",
+            "--stride=8",
+            "--taa=0.1",
+            "--renders=r",
+            "--force",
+            "--",
+            "-x",
+        ];
         let kernel: KernelSpec = "gaussian(2.1) * ema(0.1) @ 7x7x8".parse().unwrap();
         assert_eq!(
             parse(&args).unwrap().command(&kernel),
             "perceptile report OUT 'a b.npy' ./-x --kernel 'gaussian(2.1) * ema(0.1) @ 7x7x8' \
-             --renders r --integrands 256 --set 0 --spp 2"
+             --renders r --prefix '1,2' --stride 8 --integrands 256 --set 0 --spp 2"
         );
     }
 

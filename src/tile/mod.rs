@@ -99,6 +99,33 @@ impl Tile {
         self.samples
     }
 
+    /// The tile of the first samples of every pixel.
+    ///
+    /// # Panics
+    /// If there are none, or more than the tile has.
+    pub fn first(&self, samples: usize) -> Self {
+        assert!((1..=self.shape.spp()).contains(&samples), "{samples} samples of {}", self.shape);
+        let dims = self.shape.dims();
+        let pixels = self.samples.chunks_exact(self.shape.spp() * dims);
+        let samples_of = pixels.flat_map(|pixel| &pixel[..samples * dims]).copied().collect();
+        Self { shape: self.shape.with_spp(samples), samples: samples_of }
+    }
+
+    /// The tile of frame `phase` and every `stride`-th frame after it.
+    ///
+    /// # Panics
+    /// If the phase is not below the stride, or the stride is not a divisor of the tile's frames.
+    pub fn every(&self, stride: usize, phase: usize) -> Self {
+        let frames = self.shape.frames();
+        assert!(phase < stride && frames.is_multiple_of(stride), "{phase} of {stride} of {frames}");
+        let frame = self.samples.len() / frames;
+        let seen = self.samples.chunks_exact(frame).skip(phase).step_by(stride);
+        Self {
+            shape: self.shape.with_frames(frames / stride),
+            samples: seen.flatten().copied().collect(),
+        }
+    }
+
     /// The point (`dims` coordinates) of sample `s` at pixel `(x, y)` of frame `t`.
     ///
     /// # Panics
@@ -125,6 +152,24 @@ mod tests {
         }
         const { assert!(BELOW_ONE < 1.0) };
         assert_eq!(BELOW_ONE.to_bits() + 1, 1.0_f32.to_bits());
+    }
+
+    #[test]
+    fn parts_of_a_tile_hold_its_points() {
+        let shape = TileShape::new(3, 2, 6, 4, 2).unwrap();
+        let samples = (0..shape.coordinates()).map(|i| i as f32 / 1024.0).collect();
+        let tile = Tile::new(shape, samples).unwrap();
+        let first = tile.first(3);
+        assert_eq!(first.shape(), TileShape::new(3, 2, 6, 3, 2).unwrap());
+        let phase = tile.every(3, 2);
+        assert_eq!(phase.shape(), TileShape::new(3, 2, 2, 4, 2).unwrap());
+        for (x, y, s) in [(0, 0, 0), (2, 1, 2), (1, 1, 1)] {
+            (0..6).for_each(|t| assert_eq!(first.point(x, y, t, s), tile.point(x, y, t, s)));
+            (0..2)
+                .for_each(|t| assert_eq!(phase.point(x, y, t, s), tile.point(x, y, 3 * t + 2, s)));
+        }
+        assert_eq!(tile.first(4), tile);
+        assert_eq!(tile.every(1, 0), tile);
     }
 
     #[test]

@@ -96,6 +96,18 @@ impl TileShape {
             .ok_or(ShapeError::Overflow { width, height, frames, spp, dims })
     }
 
+    /// The shape with at most as many samples per pixel.
+    pub(super) fn with_spp(self, spp: usize) -> Self {
+        debug_assert!((1..=self.spp).contains(&spp));
+        Self { spp, ..self }
+    }
+
+    /// The shape with at most as many frames.
+    pub(super) fn with_frames(self, frames: usize) -> Self {
+        debug_assert!((1..=self.frames).contains(&frames));
+        Self { frames, ..self }
+    }
+
     /// Pixels across.
     pub fn width(&self) -> usize {
         self.width

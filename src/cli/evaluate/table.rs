@@ -29,7 +29,7 @@ pub(super) fn table(report: &Evaluation, all: bool) -> String {
          than it is folded at its period"
             .to_owned(),
     ];
-    if report.tiles.len() > 1 {
+    if report.tiles.len() > report.parts {
         lines.push(format!("÷ {against}  the ratio to {against}: 2 means twice its error"));
     }
     let domains = report.tiles.iter().map(|entry| Domain::of(entry.shape.dims()));
@@ -63,21 +63,17 @@ type Cell = (String, f64);
 impl TableSection {
     /// Heading and rows; nothing if no tile has such a score.
     fn lines(&self, report: &Evaluation) -> Vec<String> {
-        let figures = |entry| Some((entry, self.figures(entry)?));
-        let rows: Vec<_> = report.tiles.iter().filter_map(figures).collect();
+        let figures = |(place, entry)| Some((place, entry, self.figures(entry)?));
+        let rows: Vec<_> = report.tiles.iter().enumerate().filter_map(figures).collect();
         if rows.is_empty() {
             return Vec::new();
         }
-        // The tile to compare with comes first, if not with this score.
-        let reference = &report.tiles[0];
-        let compared = self.figures(reference);
-        let against = format!("÷ {}", reference.name);
         let mut heading = Class::ALL.map(|class| class.to_string()).to_vec();
         if self.uniformity {
             heading.extend(["bias·√N", "histogram (rms)", "residual"].map(String::from));
         }
         let mut lines = vec![[vec![String::new()], heading].concat()];
-        for (entry, figures) in &rows {
+        for (place, entry, figures) in &rows {
             let cells = figures.iter().map(|(text, _)| text.clone());
             let is_repeated = report.is_repeated_noise(entry);
             let name = match is_repeated {
@@ -86,14 +82,15 @@ impl TableSection {
             };
             lines.push([name].into_iter().chain(cells).collect());
             // Integrands of other dimensions are other integrands: no comparison.
-            if let Some(compared) = &compared
+            if let Some(reference) = report.reference(*place)
+                && let Some(compared) = self.figures(reference)
                 && !is_repeated
-                && entry.name != reference.name
                 && entry.shape.dims() == reference.shape.dims()
             {
-                let pairs = figures.iter().zip(compared);
+                let pairs = figures.iter().zip(&compared);
                 let quotients = pairs.map(|(theirs, ours)| quotient(theirs, ours));
-                lines.push([against.clone()].into_iter().chain(quotients).collect());
+                lines
+                    .push([format!("÷ {}", reference.name)].into_iter().chain(quotients).collect());
             }
         }
         let pairs = if self.domain == Domain::Pairs { ", random pairs of dimensions" } else { "" };
@@ -201,6 +198,7 @@ pub(super) mod tests {
             kernel_frames: 8,
             options: ScoreOptions::default(),
             against,
+            parts: 1,
             tiles,
         };
         table(&evaluation, all)

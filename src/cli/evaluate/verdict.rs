@@ -5,14 +5,17 @@ use perceptile::metric::{Class, Domain, ScoredTile, digits};
 
 use super::Evaluation;
 
-/// One line for each tile after the first, which is the one that they are compared with.
+/// One line for each tile, or each of its parts, after the first tile, which is the one that they are
+/// compared with.
 pub(super) fn lines(report: &Evaluation) -> Vec<String> {
-    let [reference, others @ ..] = &report.tiles[..] else { return Vec::new() };
-    let of = |other| match report.is_repeated_noise(other) {
-        true => repeated(other, report.kernel_frames),
-        false => line(reference, other),
+    let of = |(place, other): (usize, &ScoredTile)| {
+        let reference = report.reference(place)?;
+        Some(match report.is_repeated_noise(other) {
+            true => repeated(other, report.kernel_frames),
+            false => line(reference, other),
+        })
     };
-    others.iter().map(of).collect()
+    report.tiles.iter().enumerate().filter_map(of).collect()
 }
 
 /// Of white noise that repeats within the kernel: what else to compare with.
