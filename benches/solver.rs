@@ -17,7 +17,9 @@ use perceptile::solver::polish::{Polish, PolishOptions};
 use perceptile::solver::{Descent, Samples};
 use perceptile::tile::{Tile, TileShape};
 
-use common::{ADAM, PAPER_DRAWS, PAPER_SIZE, gradient, paper_options, paper_taps, shape};
+use common::{
+    ADAM, PAPER_DRAWS, PAPER_SIZE, gradient, paper_kernel, paper_options, paper_taps, shape,
+};
 
 /// Notes when the first patches of a step are added up: where its halves meet.
 #[derive(Clone)]
@@ -120,12 +122,13 @@ fn adam(criterion: &mut Criterion) {
 /// One step of the polish, after which edges must look better.
 fn polish(criterion: &mut Criterion) {
     let shape = shape([32, 32, 8], 1, 2);
-    let taps = paper_taps(shape);
+    let kernel = paper_kernel(shape);
+    let (classes, taps) = (kernel.classes(), paper_taps(shape));
     let tile = Baseline::White.tile(shape, 1);
     let options = PolishOptions { steps: 1000, axis_weight: 0.2, linear_weight: 0.0, adam: ADAM };
     let samples = Samples::from_tile(&tile);
     let mut polish =
-        Polish::alone(shape, &[(1.0, &taps)], options, Simd::detect(), &samples).expect("memory");
+        Polish::alone(shape, classes, options, Simd::detect(), &samples).expect("memory");
     (0..20).for_each(|step| polish.step(step));
     let scorer = scorer(shape, &taps);
     let edge = |tile: &Tile| edge(&scorer, tile);

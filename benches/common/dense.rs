@@ -36,7 +36,7 @@ impl DenseDraw {
             let pixel = size(shape).to_array().map(|size| stream.below(size as u32) as i32).into();
             Self {
                 pixel,
-                set: levels.select(stream.unit()),
+                set: levels.select(stream.unit()).0,
                 threshold: stream.unit() as f32,
                 direction: directions.any(stream.unit(), &mut stream),
             }
@@ -44,12 +44,13 @@ impl DenseDraw {
         (0..count).map(draw).collect()
     }
 
-    /// The same draw with the number of its taps.
+    /// The same draw with the number of its taps, in a tile of one sample per pixel.
     pub fn reference(&self, levels: &LevelSets) -> ReferenceDraw {
         ReferenceDraw {
             pixel: self.pixel,
             set: self.set,
             taps: levels.sets()[self.set].above(f64::from(self.threshold)),
+            samples: 1,
             directions: vec![self.direction],
         }
     }

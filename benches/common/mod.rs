@@ -15,7 +15,7 @@ use perceptile::gradient::probe::Unprobed;
 use perceptile::gradient::reference::{self, ReferenceDraw};
 use perceptile::gradient::simd::Simd;
 use perceptile::gradient::{Gradient, Objective, Patch, Quantum, Workspace};
-use perceptile::kernel::{KernelSpec, KernelTaps};
+use perceptile::kernel::{Kernel, KernelSpec, KernelTaps};
 use perceptile::solver::BLOCKS_PER_THREAD;
 use perceptile::solver::adam::AdamOptions;
 use perceptile::tile::{Block, Overlap, Partition, Region, SLACK, Tile, TileShape};
@@ -36,10 +36,15 @@ pub fn shape([width, height, frames]: [usize; 3], spp: usize, dims: usize) -> Ti
     TileShape::new(width, height, frames, spp, dims).expect("sizes")
 }
 
-/// The taps of the paper's kernel.
-pub fn paper_taps(shape: TileShape) -> KernelTaps {
+/// The paper's kernel.
+pub fn paper_kernel(shape: TileShape) -> Kernel {
     let spec: KernelSpec = PAPER_KERNEL.parse().expect("a kernel");
-    spec.resolve(shape).expect("a kernel that fits").classes()[0].taps.clone()
+    spec.resolve(shape).expect("a kernel that fits")
+}
+
+/// Its taps.
+pub fn paper_taps(shape: TileShape) -> KernelTaps {
+    paper_kernel(shape).classes()[0].taps.clone()
 }
 
 /// Draws as the paper has them: all thresholds, any direction, and one for each subset.
@@ -135,7 +140,7 @@ impl Gradients {
             let gradients = reference::gradient(tile, levels, std::slice::from_ref(&draw));
             // Along one direction of length 1, gradients are as long as the differences to targets.
             let squares: f64 = gradients.iter().map(|x| x * x).sum();
-            objective += squares / (draw.taps * tile.shape().spp()) as f64;
+            objective += squares / (draw.taps * draw.samples) as f64;
             expected.iter_mut().zip(gradients).for_each(|(sum, x)| *sum += x);
         }
         assert!((found / objective - 1.0).abs() < 1e-2, "objective {found}, not {objective}");
@@ -157,7 +162,7 @@ impl Gradients {
             let mut lack = vec![0.0; dims];
             for &offset in &levels.sets()[draw.set].offsets[..draw.taps] {
                 let place = (draw.pixel + offset).rem_euclid(size).as_usizevec3();
-                for point in (0..shape.spp()).map(|s| tile.point(place.x, place.y, place.z, s)) {
+                for point in (0..draw.samples).map(|s| tile.point(place.x, place.y, place.z, s)) {
                     lack.iter_mut().zip(point).for_each(|(sum, &x)| *sum += 0.5 - f64::from(x));
                     samples += 1;
                 }
@@ -190,6 +195,7 @@ pub fn reference_draws(gradient: &Gradient, step: u32) -> Vec<ReferenceDraw> {
                 pixel: IVec3::new(x as i32, y as i32, draw.t as i32),
                 set: draw.set as usize,
                 taps: draw.taps as usize,
+                samples: draw.samples as usize,
                 directions: directions.to_vec(),
             });
         }

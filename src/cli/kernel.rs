@@ -31,11 +31,12 @@ pub struct KernelArgs {
     /// The kernel, such as "gaussian(2.1) * fovvideovdp(60) @ 7x7x8"
     ///
     /// A product of none, gaussian(SIGMA), gaussian(SIGMA, radius=PIXELS), fovvideovdp(FPS),
-    /// ema(ALPHA) (ALPHA is the weight of the newest frame), box(FRAMES), gaussian_t(SIGMA), gaussian_t(SIGMA, radius=FRAMES) and
-    /// table("FILE.npy", origin=(T, Y, X)); then, if wanted, "@" and the box WIDTHxHEIGHTxFRAMES
-    /// or the share PERCENT% to keep (infinite kernels keep 97% by default). Or a mixture of such
-    /// products, column and frame, each with its weight: "0.9: gaussian(2.1) * ema(0.2) + 0.1:
-    /// column".
+    /// ema(ALPHA) (ALPHA is the weight of the newest frame), box(FRAMES), gaussian_t(SIGMA), gaussian_t(SIGMA, radius=FRAMES),
+    /// table("FILE.npy", origin=(T, Y, X)) and every(FRAMES) (of which the filter sees one frame);
+    /// then, if wanted, "@" and the box WIDTHxHEIGHTxFRAMES or the share PERCENT% to keep (infinite
+    /// kernels keep 97% by default), and "of" and the samples of each pixel that are seen, the first
+    /// 4 ("of 4"), 1 to 16 ("of 1..16") or 1 to all ("of 1.."). Or a mixture of such products,
+    /// column and frame, each with its weight: "0.9: gaussian(2.1) * ema(0.2) + 0.1: column".
     #[arg(value_name = "SPEC")]
     pub spec: Option<KernelSpec>,
 
@@ -133,7 +134,7 @@ struct ClassReport<'a> {
 }
 
 fn describe(class: &KernelClass) -> ClassReport<'_> {
-    let KernelClass { weight, taps, dropped, text } = class;
+    let KernelClass { weight, taps, dropped, text, .. } = class;
     let (low, high) = taps.bounds();
     let flat = |&Tap { offset, weight }: &Tap| (offset.x, offset.y, offset.z, weight);
     ClassReport {

@@ -44,6 +44,16 @@ pub struct Draw {
     pub set: u32,
     /// How many of its taps are in the subset; at least 1.
     pub taps: u32,
+    /// How many samples of each pixel are, the first ones; at least 1.
+    pub samples: u32,
+}
+
+impl Draw {
+    /// Number of samples in its subset.
+    #[inline(always)]
+    pub fn subset(&self) -> usize {
+        self.taps as usize * self.samples as usize
+    }
 }
 
 /// The draws of one cell; lent to [`Draws::cell`] so that a step allocates nothing.
@@ -134,9 +144,10 @@ impl Draws {
             let [class, level, angle]: [f64; 3] = std::array::from_fn(|k| {
                 unit(shift[k].wrapping_add((i as u32).wrapping_mul(STRIDES[k])))
             });
-            let set = self.levels.select(class);
+            let (set, samples) = self.levels.select(class);
             let taps = self.levels.sets()[set].above(level * self.options.threshold_range);
-            out.draws.push(self.draw(place, pixel, set, taps));
+            let samples = samples.unwrap_or(partition.shape().spp() as u32);
+            out.draws.push(self.draw(place, pixel, (set, taps, samples)));
             for k in 0..self.options.directions {
                 let turned = angle + k as f64 / self.options.directions as f64;
                 let direction = self.direction(turned.fract(), &mut directions);
@@ -157,13 +168,14 @@ impl Draws {
         upto(after) - upto(before)
     }
 
-    fn draw(&self, cell: Cell, pixel: usize, set: usize, taps: usize) -> Draw {
+    fn draw(&self, cell: Cell, pixel: usize, (set, taps, samples): (usize, usize, u32)) -> Draw {
         Draw {
             x: (pixel % cell.width) as u32,
             y: (pixel / cell.width % cell.height) as u32,
             t: (pixel / cell.width / cell.height) as u32,
             set: set as u32,
             taps: taps.max(1) as u32,
+            samples,
         }
     }
 

@@ -91,9 +91,17 @@ pub enum Order<'a> {
 }
 
 impl Memory<'_> {
-    /// Finds the runs of a draw, and asks for what will be needed of them.
+    /// Finds the runs of a draw of which each pixel's first `used` words are seen, and asks for
+    /// what will be needed of them.
     #[inline(always)]
-    pub fn locate<I: Isa>(&self, isa: I, place: Place, runs: &[Run], spots: &mut Vec<Spot>) {
+    pub fn locate<I: Isa>(
+        &self,
+        isa: I,
+        place: Place,
+        runs: &[Run],
+        used: usize,
+        spots: &mut Vec<Spot>,
+    ) {
         spots.clear();
         match self.order {
             Order::Rows { samples, patch, frames } => {
@@ -102,8 +110,13 @@ impl Memory<'_> {
                     let (row, column) = (y * frames + t, x * self.pixel);
                     let words = run.len as usize * self.pixel;
                     let (samples, patch) = (row * samples + column, row * patch + column);
-                    spots.push(Spot { samples, patch, words });
-                    self.prefetch(isa, samples, patch, words);
+                    // A whole run is one piece of memory; of a part of each pixel, every pixel is.
+                    let piece = if used == self.pixel { words } else { used };
+                    for from in (0..words).step_by(self.pixel.max(piece)) {
+                        let (samples, patch) = (samples + from, patch + from);
+                        spots.push(Spot { samples, patch, words: piece });
+                        self.prefetch(isa, samples, patch, piece);
+                    }
                 }
             }
             Order::Placed(Placement { x, y, t, .. }) => {
@@ -112,8 +125,8 @@ impl Memory<'_> {
                     let row = y[first.y] + t[first.t];
                     for &column in &x[first.x..first.x + run.len as usize] {
                         let word = row + column;
-                        spots.push(Spot { samples: word, patch: word, words: self.pixel });
-                        self.prefetch(isa, word, word, self.pixel);
+                        spots.push(Spot { samples: word, patch: word, words: used });
+                        self.prefetch(isa, word, word, used);
                     }
                 }
             }

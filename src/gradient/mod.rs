@@ -375,15 +375,16 @@ fn all_draws<I: Isa, P: Probe>(
     };
     let directions = |i: usize| &draws.directions[i * per_draw..(i + 1) * per_draw];
     let Workspace { slots, spots, runs: scratch, stage, .. } = workspace;
-    let longest = draws.draws.iter().map(|draw| draw.taps as usize).max().unwrap_or(0);
-    let numbers = longest * shape.spp() * shape.dims();
+    let longest = draws.draws.iter().map(Draw::subset).max().unwrap_or(0);
+    let numbers = longest * shape.dims();
     let lag = usize::from(numbers <= OVERLAPPED);
     let count = draws.draws.len();
     let mut objective = Objective::default();
     let mut locate = |memory: &Memory<'_>, i: usize, spots: &mut [Vec<Spot>]| {
         if let Some(draw) = draws.draws.get(i) {
             let runs = gradient.runs.of(draw.set as usize, draw.taps as usize, scratch);
-            memory.locate(isa, place(draw), runs, &mut spots[i % LOCATED]);
+            let used = draw.samples as usize * shape.dims();
+            memory.locate(isa, place(draw), runs, used, &mut spots[i % LOCATED]);
         }
     };
     (0..AHEAD).for_each(|i| locate(memory, i, spots));
@@ -396,8 +397,7 @@ fn all_draws<I: Isa, P: Probe>(
         };
         if let Some((i, slot)) = at(0) {
             let slot = &mut slots[slot];
-            let n = draws.draws[i].taps as usize * shape.spp();
-            slot.grow(n, shape.dims(), per_draw);
+            slot.grow(draws.draws[i].subset(), shape.dims(), per_draw);
             memory.gather(&spots[i % LOCATED], &mut slot.points);
             probe.lap(Stage::Gather);
         }

@@ -20,6 +20,8 @@ pub struct ReferenceDraw {
     pub set: usize,
     /// How many of its taps.
     pub taps: usize,
+    /// How many samples of each pixel, the first ones.
+    pub samples: usize,
     /// Directions of the projections.
     pub directions: Vec<Direction>,
 }
@@ -61,7 +63,7 @@ fn visit(
             .flat_map(|offset| {
                 let place = (draw.pixel + offset).rem_euclid(size).as_usizevec3();
                 let pixel = shape.pixel(place.x, place.y, place.z);
-                (0..shape.spp()).map(move |s| pixel * shape.spp() + s)
+                (0..draw.samples).map(move |s| pixel * shape.spp() + s)
             })
             .collect();
         for direction in &draw.directions {

@@ -23,6 +23,8 @@ pub(crate) enum Weights {
     Space { low: i32, row: Vec<f64> },
     /// A row along time.
     Time(Grid),
+    /// Frames from one that is seen to the next.
+    Every(u32),
     /// Anything else.
     Table(Grid),
 }
@@ -50,6 +52,7 @@ impl Factor {
                 Weights::Time(past(row.collect()))
             }
             Self::Box { frames } => Weights::Time(past(vec![1.0; *frames as usize])),
+            Self::Every { frames } => Weights::Every(*frames),
             Self::Table { file, origin } => Weights::Table(table::read(file, *origin)?),
         })
     }

@@ -13,6 +13,7 @@ mod grid;
 mod parse;
 mod picture;
 mod planes;
+mod prefix;
 mod resolve;
 mod response;
 mod spec;
@@ -24,6 +25,7 @@ pub use factor::perception_taps;
 pub use parse::ParseError;
 pub use picture::{Picture, picture};
 pub use planes::{KernelFrame, KernelPlanes, Plane};
+pub use prefix::Prefix;
 pub use resolve::{Dropped, Kernel, KernelClass, KernelError, MAX_TAPS, ResolveProblem};
 pub use response::Response;
 pub use spec::{

@@ -5,6 +5,7 @@
 use std::fmt;
 use std::str::FromStr;
 
+use crate::kernel::prefix::Prefix;
 use crate::kernel::spec::{
     ClassKind, ClassSpec, Factor, KernelSpec, MAX_CLASSES, SpecProblem, Truncation, check_weight,
 };
@@ -70,7 +71,7 @@ struct FactorName {
     usage: &'static str,
 }
 
-const FACTORS: [FactorName; 7] = [
+const FACTORS: [FactorName; 8] = [
     FactorName { name: "none", usage: "`none`, without arguments" },
     FactorName {
         name: "gaussian",
@@ -83,6 +84,7 @@ const FACTORS: [FactorName; 7] = [
         usage: "`gaussian_t(SIGMA)` or `gaussian_t(SIGMA, radius=FRAMES)`, in frames",
     },
     FactorName { name: "box", usage: "`box(FRAMES)`, a whole number of frames" },
+    FactorName { name: "every", usage: "`every(FRAMES)`, a whole number of frames" },
     FactorName { name: "table", usage: "`table(\"FILE.npy\", origin=(T, Y, X))`" },
 ];
 
@@ -118,7 +120,7 @@ impl<'a> Parser<'a> {
             }
         }
         if self.peek().is_some() {
-            return Err(self.unexpected("`*`, `@`, `+` or the end"));
+            return Err(self.unexpected("`*`, `@`, `of`, `+` or the end"));
         }
         KernelSpec::new(classes).map_err(|problem| (self.at, problem))
     }
@@ -133,7 +135,39 @@ impl<'a> Parser<'a> {
                 return Err(self.unexpected("`:` and a kernel after its weight"));
             }
         }
-        Ok(ClassSpec { weight, kind: self.kind()? })
+        Ok(ClassSpec { weight, kind: self.kind()?, prefix: self.prefix()? })
+    }
+
+    /// `of` and the samples of a pixel, if a class says them.
+    fn prefix(&mut self) -> Result<Option<Prefix>, Placed> {
+        let at = self.skip_blanks();
+        if self.word() != Some("of") {
+            self.at = at;
+            return Ok(None);
+        }
+        let at = self.skip_blanks();
+        let least = self.count()?;
+        let mut prefix = Prefix { least, most: Some(least) };
+        if self.text[self.at..].starts_with("..") {
+            self.at += 2;
+            let has_end = self.peek().is_some_and(|c| c.is_ascii_digit());
+            prefix.most = if has_end { Some(self.count()?) } else { None };
+        }
+        prefix.check().map_err(|problem| (at, problem))?;
+        Ok(Some(prefix))
+    }
+
+    /// A number of samples, without a sign, a point or an exponent.
+    fn count(&mut self) -> Result<u32, Placed> {
+        let from = self.skip_blanks();
+        let rest = &self.text[from..];
+        let length = rest.find(|c: char| !c.is_ascii_digit()).unwrap_or(rest.len());
+        if length == 0 {
+            return Err(self.unexpected("a number of samples, such as `4`, `1..16` or `1..`"));
+        }
+        self.at += length;
+        // One that does not fit is too large for any tile.
+        Ok(rest[..length].parse().unwrap_or(u32::MAX))
     }
 
     fn kind(&mut self) -> Result<ClassKind, Placed> {
@@ -195,9 +229,10 @@ impl<'a> Parser<'a> {
                 Factor::FovVideoVdp { fps: real(take(&mut arguments, None)).ok_or_else(wrong)? }
             }
             "ema" => Factor::Ema { alpha: real(take(&mut arguments, None)).ok_or_else(wrong)? },
-            "box" => {
+            "box" | "every" => {
                 let frames = take(&mut arguments, None).ok_or_else(wrong)?;
-                Factor::Box { frames: whole(&frames, "frames", "a whole number from 1 to 16384")? }
+                let frames = whole(&frames, "frames", "a whole number from 1 to 16384")?;
+                if name.name == "box" { Factor::Box { frames } } else { Factor::Every { frames } }
             }
             _ => {
                 let origin = take(&mut arguments, Some("origin")).ok_or_else(wrong)?;
@@ -457,8 +492,12 @@ mod tests {
             vec![Factor::Gaussian { sigma: 2.1, radius: None }, Factor::FovVideoVdp { fps: 60.0 }];
         let truncation = Some(Truncation::Box { width: 7, height: 7, frames: 8 });
         let expected = KernelSpec::new(vec![
-            ClassSpec { weight: 0.9, kind: ClassKind::Product { factors, truncation } },
-            ClassSpec { weight: 0.1, kind: ClassKind::Column },
+            ClassSpec {
+                weight: 0.9,
+                kind: ClassKind::Product { factors, truncation },
+                prefix: None,
+            },
+            ClassSpec { weight: 0.1, kind: ClassKind::Column, prefix: None },
         ]);
         assert_eq!(Ok(spec), expected);
     }
@@ -507,7 +546,7 @@ mod tests {
             ("gaussian(2.1) + ", "", "expected a kernel"),
             ("gaussian(2.1", "", "`,` or `)`"),
             ("gausian(2.1)", "gausian", "no kernel named `gausian`"),
-            ("gausian(2.1)", "gausian", "gaussian_t, box, table, column and frame"),
+            ("gausian(2.1)", "gausian", "gaussian_t, box, every, table, column and frame"),
             ("Gaussian(2.1)", "Gaussian", "no kernel named `Gaussian`"),
             ("none(1)", "1)", "without arguments"),
             ("fovvideovdp(4)", "4)", "above 4"),
@@ -535,6 +574,14 @@ mod tests {
             ("gaussian(1) @ 0%", "0%", "share is 0"),
             ("gaussian(1) @ 101%", "101", "share is 101"),
             ("gaussian(1) @ all", "all", "PERCENT%"),
+            ("gaussian(1) of", "", "a number of samples"),
+            ("gaussian(1) of few", "few", "a number of samples"),
+            ("gaussian(1) of 0", "0", "samples is 0"),
+            ("gaussian(1) of 65", "65", "samples is 65"),
+            ("column of 0..4", "0..4", "samples is 0"),
+            ("column of 4..2 + frame", "4..2", "samples is 2"),
+            ("column of 4 of 2", "of 2", "expected"),
+            ("every(0)", "0", "frames is 0"),
             ("0: column", "0:", "weight is 0"),
             ("-1: column", "-1", "weight is -1"),
             ("1e999: column", "1e999", "weight is inf"),
@@ -582,6 +629,7 @@ mod tests {
             (4.0001..65536.0).prop_map(|fps| Factor::FovVideoVdp { fps }),
             (0.01..=1.0).prop_map(|alpha| Factor::Ema { alpha }),
             (1..=MAX_LENGTH).prop_map(|frames| Factor::Box { frames }),
+            (1..=MAX_LENGTH).prop_map(|frames| Factor::Every { frames }),
             (any::<String>(), [index.clone(), index.clone(), index])
                 .prop_map(|(file, origin)| Factor::Table { file, origin }),
         ]
@@ -600,8 +648,12 @@ mod tests {
             1 => Just(ClassKind::Column),
             1 => Just(ClassKind::Frame),
         ];
-        (prop_oneof![1e-9..1e9, Just(1.0)], kind)
-            .prop_map(|(weight, kind)| ClassSpec { weight, kind })
+        let prefix = (1..=64_u32, prop::option::of(0..64_u32)).prop_map(|(least, more)| Prefix {
+            least,
+            most: more.map(|more| (least + more).min(64)),
+        });
+        (prop_oneof![1e-9..1e9, Just(1.0)], kind, prop::option::of(prefix))
+            .prop_map(|(weight, kind, prefix)| ClassSpec { weight, kind, prefix })
     }
 
     proptest! {

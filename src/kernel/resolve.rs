@@ -4,12 +4,15 @@
 //! scaled to Σ|g| = 1. Every value comes from sums in a fixed order and from `libm`, so it is the
 //! same on every machine.
 
+use std::ops::Range;
+
 use glam::IVec3;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::kernel::factor::Weights;
 use crate::kernel::grid::{Grid, GridAxis};
+use crate::kernel::prefix::Prefix;
 use crate::kernel::spec::{ClassKind, DEFAULT_PERCENT, Factor, KernelSpec, MAX_LENGTH, Truncation};
 use crate::kernel::table::TableError;
 use crate::kernel::taps::{KernelTaps, Tap, TapsError};
@@ -34,8 +37,11 @@ impl TryFrom<Vec<KernelClass>> for Kernel {
     type Error = TapsError;
 
     fn try_from(classes: Vec<KernelClass>) -> Result<Self, TapsError> {
-        let share = |class: &KernelClass| class.weight > 0.0 && class.weight <= 1.0;
-        let known = !classes.is_empty() && classes.iter().all(share);
+        let known = |class: &KernelClass| {
+            let prefix = class.prefix.map_or(Ok(()), Prefix::check);
+            class.weight > 0.0 && class.weight <= 1.0 && prefix.is_ok()
+        };
+        let known = !classes.is_empty() && classes.iter().all(known);
         if known { Ok(Self { classes }) } else { Err(TapsError::Unscaled) }
     }
 }
@@ -53,6 +59,8 @@ pub struct KernelClass {
     pub weight: f64,
     /// Its taps, scaled to Σ|g| = 1.
     pub taps: KernelTaps,
+    /// The samples of a pixel that it sees; without it, all.
+    pub prefix: Option<Prefix>,
     /// What its truncation left out.
     pub dropped: Dropped,
     /// Its text form.
@@ -166,11 +174,12 @@ impl KernelSpec {
                 shape.map_or(Ok(()), |shape| check_size(&taps, shape))?;
                 Ok((taps, dropped))
             });
-            let text = class.kind.to_string();
+            let text = class.unweighted();
             let (taps, dropped) =
                 resolved.map_err(|problem| KernelError { class: text.clone(), problem })?;
             left -= taps.taps().len();
-            classes.push(KernelClass { weight: class.weight / sum, taps, dropped, text });
+            let (weight, prefix) = (class.weight / sum, class.prefix);
+            classes.push(KernelClass { weight, taps, prefix, dropped, text });
         }
         Ok(Kernel { classes })
     }
@@ -180,6 +189,22 @@ impl Kernel {
     /// The classes, in the order of the description.
     pub fn classes(&self) -> &[KernelClass] {
         &self.classes
+    }
+
+    /// The samples of a pixel in groups of which a draw sees all or none: the ends of all prefixes
+    /// part them. Without prefixes there is one group.
+    pub fn layers(&self, spp: usize) -> Vec<Range<usize>> {
+        let prefixes = self.classes.iter().filter_map(|class| class.prefix);
+        let mut ends: Vec<usize> = prefixes
+            .flat_map(|prefix| prefix.shares(spp))
+            .map(|(samples, _)| samples)
+            .filter(|&samples| samples < spp)
+            .chain([spp])
+            .collect();
+        ends.sort_unstable();
+        ends.dedup();
+        let start = |i: usize| i.checked_sub(1).map_or(0, |before| ends[before]);
+        (0..ends.len()).map(|i| start(i)..ends[i]).collect()
     }
 
     /// What a tile sees that repeats after so many frames: every class folded at its period
@@ -269,17 +294,20 @@ fn equal([width, height, frames]: [usize; 3], left: usize) -> Result<Vec<Tap>, R
     Ok(taps)
 }
 
-/// The composition of the factors of a class: `x` × `y` × `time`, convolved with all tables.
+/// The composition of the factors of a class: `x` × `y` × `time`, convolved with all tables, with
+/// every so many frames seen.
 struct Product {
     x: Grid,
     y: Grid,
     time: Grid,
     tables: Option<Grid>,
+    every: u64,
 }
 
 impl Product {
     fn new(factors: &[Factor]) -> Result<Self, ResolveProblem> {
-        let mut product = Self { x: Grid::one(), y: Grid::one(), time: Grid::one(), tables: None };
+        let one = Grid::one;
+        let mut product = Self { x: one(), y: one(), time: one(), tables: None, every: 1 };
         for factor in factors {
             match factor.weights()? {
                 Weights::One => {}
@@ -288,6 +316,9 @@ impl Product {
                     product.y = convolve(&product.y, &Grid::row(GridAxis::Y, low, row))?;
                 }
                 Weights::Time(row) => product.time = convolve(&product.time, &row)?,
+                Weights::Every(frames) => {
+                    product.every = product.every.saturating_mul(u64::from(frames));
+                }
                 Weights::Table(table) => {
                     product.tables = Some(match &product.tables {
                         Some(tables) => convolve(tables, &table)?,
@@ -318,6 +349,7 @@ impl Product {
         truncation: Option<Truncation>,
         left: usize,
     ) -> Result<(Vec<Tap>, Dropped), ResolveProblem> {
+        let every = self.every;
         let (taps, dropped) = match truncation {
             None => (self.compose()?.taps().collect(), Dropped::NOTHING),
             Some(Truncation::Share { percent }) => keep_share(&self.compose()?, percent / 100.0),
@@ -325,7 +357,17 @@ impl Product {
                 self.keep_box([width, height, frames].map(|n| n as i32))?
             }
         };
-        let taps: Vec<Tap> = taps.into_iter().filter(|tap: &Tap| tap.weight != 0.0).collect();
+        let mut taps: Vec<Tap> = taps.into_iter().filter(|tap: &Tap| tap.weight != 0.0).collect();
+        for tap in &mut taps {
+            // Frames in between are not seen, and no truncation counts them.
+            let seen = u64::from(tap.offset.z.unsigned_abs());
+            let length = seen.saturating_mul(every);
+            if length >= u64::from(MAX_LENGTH) {
+                let length = usize::try_from(length).unwrap_or(usize::MAX);
+                return Err(ResolveProblem::Length { length });
+            }
+            tap.offset.z = length as i32 * tap.offset.z.signum();
+        }
         if taps.len() > left {
             Err(ResolveProblem::Taps { taps: taps.len() })
         } else {
@@ -426,6 +468,43 @@ mod tests {
 
     use super::*;
     use crate::kernel::perception_taps;
+
+    #[test]
+    fn every_eighth_frame_is_the_same_filter_of_other_frames() {
+        let taps = |text: &str| -> Vec<(IVec3, f64)> {
+            let kernel = text.parse::<KernelSpec>().unwrap().resolve_without_tile().unwrap();
+            let taps = kernel.classes()[0].taps.taps();
+            taps.iter().map(|tap| (tap.offset, tap.weight)).collect()
+        };
+        for cut in ["@ 5x5x6", "@ 90%", "* gaussian_t(1) @ 3x3x9"] {
+            let text = format!("gaussian(1.5) * fovvideovdp(60) * every(8) {cut}");
+            let moved = |(offset, weight): (IVec3, f64)| (offset.with_z(8 * offset.z), weight);
+            let all = taps(&text.replace("* every(8) ", "")).into_iter().map(moved);
+            let mut all: Vec<_> = all.collect();
+            let mut found = taps(&text);
+            // Ties are in the order of their frames, which are others.
+            for taps in [&mut all, &mut found] {
+                taps.sort_by_key(|(offset, _)| offset.to_array());
+            }
+            assert_eq!(found, all, "{text}");
+            assert_eq!(taps(&text.replace("every(8)", "every(2) * every(4)")).len(), all.len());
+        }
+        let far: KernelSpec = "box(3) * every(9000)".parse().unwrap();
+        let problem = far.resolve_without_tile().unwrap_err().problem;
+        assert_eq!(problem, ResolveProblem::Length { length: 18_000 });
+    }
+
+    #[test]
+    fn prefixes_part_a_pixel_into_layers() {
+        let layers = |text: &str, spp: usize| {
+            let kernel = text.parse::<KernelSpec>().unwrap().resolve_without_tile().unwrap();
+            kernel.layers(spp).into_iter().map(|layer| layer.end).collect::<Vec<_>>()
+        };
+        assert_eq!(layers("gaussian(1)", 16), [16]);
+        assert_eq!(layers("gaussian(1) of 16", 16), [16]);
+        assert_eq!(layers("none of 4 + none of 1 + box(2)", 16), [1, 4, 16]);
+        assert_eq!(layers("none of 2..4 + none of 3..", 6), [2, 3, 4, 5, 6]);
+    }
 
     fn tile(width: usize, height: usize, frames: usize) -> TileShape {
         TileShape::new(width, height, frames, 1, 2).unwrap()

@@ -2,13 +2,14 @@
 //!
 //! ```text
 //! mixture    = class { "+" class }
-//! class      = [ WEIGHT ":" ] ( product [ "@" truncation ] | "column" | "frame" )
+//! class      = [ WEIGHT ":" ] ( product [ "@" truncation ] | "column" | "frame" ) [ "of" samples ]
 //! product    = factor { "*" factor }
 //! factor     = "none" | "gaussian(SIGMA)" | "gaussian(SIGMA, radius=PIXELS)"
 //!            | "fovvideovdp(FPS)" | "ema(ALPHA)" | "box(FRAMES)"
 //!            | "gaussian_t(SIGMA)" | "gaussian_t(SIGMA, radius=FRAMES)"
-//!            | "table(\"FILE\", origin=(T, Y, X))"
+//!            | "table(\"FILE\", origin=(T, Y, X))" | "every(FRAMES)"
 //! truncation = WIDTH "x" HEIGHT "x" FRAMES | PERCENT "%"
+//! samples    = COUNT [ ".." [ COUNT ] ]
 //! ```
 //!
 //! For example `0.9: gaussian(2.1) * fovvideovdp(60) @ 7x7x8 + 0.1: column`. Blanks mean nothing.
@@ -17,6 +18,8 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
+
+use crate::kernel::prefix::Prefix;
 
 /// Most pixels or frames that a kernel may extend over in one axis before it is truncated.
 pub const MAX_LENGTH: u32 = 1 << 14;
@@ -74,6 +77,13 @@ pub enum Factor {
         /// dt = i − t, dy = j − y, dx = k − x, so the frames after the origin are the future.
         origin: [u32; 3],
     },
+    /// `every(FRAMES)`: the filter sees every so many frames only, as an upscaler does that shows
+    /// one of its jitter phases again. The times of all other factors and of a truncation count the
+    /// frames that are seen.
+    Every {
+        /// Frames from one that is seen to the next, 1 to [`MAX_LENGTH`].
+        frames: u32,
+    },
 }
 
 /// What is kept of a product.
@@ -124,6 +134,8 @@ pub struct ClassSpec {
     pub weight: f64,
     /// The kernel.
     pub kind: ClassKind,
+    /// The samples of a pixel that the class sees; without it, all.
+    pub prefix: Option<Prefix>,
 }
 
 /// A kernel as the user describes it: a mixture of one or more weighted classes.
@@ -223,6 +235,7 @@ impl KernelSpec {
         }
         for class in &classes {
             check_weight(class.weight)?;
+            class.prefix.map_or(Ok(()), Prefix::check)?;
             if let ClassKind::Product { factors, truncation } = &class.kind {
                 factors.iter().try_for_each(Factor::check)?;
                 truncation.iter().try_for_each(Truncation::check)?;
@@ -242,9 +255,9 @@ impl KernelSpec {
         }
     }
 
-    /// The first class alone.
+    /// The kernel of the first class alone, of all samples.
     pub fn first(&self) -> Self {
-        Self { classes: vec![ClassSpec { weight: 1.0, kind: self.classes[0].kind.clone() }] }
+        Self { classes: vec![ClassSpec::lone(self.classes[0].kind.clone())] }
     }
 
     /// Weight of the newest frame in the temporal anti-aliasing of the first class, if it has any.
@@ -268,6 +281,18 @@ impl KernelSpec {
         Some(alone)
     }
 
+    /// The same mixture, whose first class sees the samples that the first class of another one sees.
+    pub fn of_samples_like(mut self, other: &Self) -> Self {
+        self.classes[0].prefix = other.classes[0].prefix;
+        self
+    }
+
+    /// The same mixture, with every class of all samples.
+    pub fn of_all_samples(&self) -> Self {
+        let class = |class: &ClassSpec| ClassSpec { prefix: None, ..class.clone() };
+        Self { classes: self.classes.iter().map(class).collect() }
+    }
+
     /// The classes in the order they were given.
     pub fn classes(&self) -> &[ClassSpec] {
         &self.classes
@@ -285,7 +310,14 @@ impl KernelSpec {
         let mut factors = factors.clone();
         factors.push(factor);
         let kind = ClassKind::Product { factors, truncation: Some(truncation) };
-        Self::new(vec![ClassSpec { weight: 1.0, kind }])
+        Self::new(vec![ClassSpec::lone(kind)])
+    }
+}
+
+impl ClassSpec {
+    /// The one class of a kernel that is no mixture, of all samples.
+    pub fn lone(kind: ClassKind) -> Self {
+        Self { weight: 1.0, kind, prefix: None }
     }
 }
 
@@ -330,7 +362,7 @@ impl Factor {
                 }
                 Ok(())
             }
-            Self::Box { frames } => check_length("frames", frames),
+            Self::Box { frames } | Self::Every { frames } => check_length("frames", frames),
             Self::Table { origin, .. } => origin.iter().try_for_each(|&index| {
                 let inside = index < MAX_LENGTH;
                 in_range("origin", f64::from(index), inside, "whole numbers from 0 to 16383")
@@ -343,7 +375,11 @@ impl Factor {
         match *self {
             Self::Gaussian { radius, .. } | Self::GaussianTime { radius, .. } => radius.is_none(),
             Self::Ema { alpha } => alpha < 1.0,
-            Self::None | Self::FovVideoVdp { .. } | Self::Box { .. } | Self::Table { .. } => false,
+            Self::None
+            | Self::FovVideoVdp { .. }
+            | Self::Box { .. }
+            | Self::Table { .. }
+            | Self::Every { .. } => false,
         }
     }
 }
@@ -419,6 +455,7 @@ impl fmt::Display for Factor {
             Self::FovVideoVdp { fps } => write!(f, "fovvideovdp({})", number(*fps)),
             Self::Ema { alpha } => write!(f, "ema({})", number(*alpha)),
             Self::Box { frames } => write!(f, "box({frames})"),
+            Self::Every { frames } => write!(f, "every({frames})"),
             Self::Table { file, origin: [t, y, x] } => {
                 let quoted = file.replace('\\', "\\\\").replace('"', "\\\"");
                 write!(f, "table(\"{quoted}\", origin=({t}, {y}, {x}))")
@@ -451,14 +488,23 @@ impl fmt::Display for ClassKind {
     }
 }
 
+impl ClassSpec {
+    /// The text form without the weight.
+    pub(crate) fn unweighted(&self) -> String {
+        let prefix = self.prefix.map(|prefix| format!(" {prefix}")).unwrap_or_default();
+        format!("{}{prefix}", self.kind)
+    }
+}
+
 /// The weight is left out where there is one class of weight 1.
 impl fmt::Display for KernelSpec {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        if let [ClassSpec { weight: 1.0, kind }] = self.classes.as_slice() {
-            return write!(f, "{kind}");
+        if let [class @ ClassSpec { weight: 1.0, .. }] = self.classes.as_slice() {
+            return write!(f, "{}", class.unweighted());
         }
-        for (i, ClassSpec { weight, kind }) in self.classes.iter().enumerate() {
-            write!(f, "{}{}: {kind}", if i == 0 { "" } else { " + " }, number(*weight))?;
+        for (i, class) in self.classes.iter().enumerate() {
+            let sign = if i == 0 { "" } else { " + " };
+            write!(f, "{sign}{}: {}", number(class.weight), class.unweighted())?;
         }
         Ok(())
     }

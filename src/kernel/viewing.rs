@@ -50,7 +50,7 @@ impl Viewing {
     /// A number outside its range.
     pub fn perceived(&self, shape: TileShape) -> Result<KernelSpec, SpecProblem> {
         let kind = self.product(shape, u32::MAX)?;
-        KernelSpec::new(vec![ClassSpec { weight: 1.0, kind }])
+        KernelSpec::new(vec![ClassSpec::lone(kind)])
     }
 
     /// The mixture that a tile for this is made with: `perceived`, with a share of 0.06 on whole columns
@@ -71,11 +71,11 @@ impl Viewing {
     pub fn kernel(&self, shape: TileShape) -> Result<KernelSpec, SpecProblem> {
         let frames = u32::try_from(shape.frames()).unwrap_or(u32::MAX);
         let half = vec![Factor::Box { frames: (frames / 2).max(1) }];
-        KernelSpec::new(vec![
-            ClassSpec { weight: 0.84, kind: self.product(shape, frames)? },
-            ClassSpec { weight: 0.06, kind: ClassKind::Column },
-            ClassSpec { weight: 0.1, kind: ClassKind::Product { factors: half, truncation: None } },
-        ])
+        let half = ClassKind::Product { factors: half, truncation: None };
+        let classes =
+            [(0.84, self.product(shape, frames)?), (0.06, ClassKind::Column), (0.1, half)];
+        let class = |(weight, kind)| ClassSpec { weight, kind, prefix: None };
+        KernelSpec::new(classes.into_iter().map(class).collect())
     }
 
     /// The viewing whose kernel for a tile of this shape is this one.

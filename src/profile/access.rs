@@ -125,7 +125,7 @@ impl StepDraws {
     /// samples, or their draws together move `moved` bytes.
     pub fn new(subject: &Subject, step: u32, seen: u64, moved: u64) -> Self {
         let pixel = subject.rows().pixel() as u64 * WORD;
-        let frames = subject.shape().frames() as u64;
+        let (frames, sample) = (subject.shape().frames() as u64, sample_bytes(subject));
         let (mut seeing, mut moving) = (0_u64, 0_u64);
         let mut cells = Vec::new();
         for &cell in subject.blocks().iter().flat_map(|block| block.cells()) {
@@ -138,7 +138,7 @@ impl StepDraws {
             // Samples are read, their gradient is read and written.
             let within = draws.iter().take_while(|draw| {
                 let goes_on = moving < moved;
-                moving += 3 * u64::from(draw.taps) * pixel;
+                moving += 3 * draw.subset() as u64 * sample;
                 goes_on
             });
             draws.truncate(within.count());
@@ -156,6 +156,11 @@ impl StepDraws {
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
+}
+
+/// Bytes of a sample.
+fn sample_bytes(subject: &Subject) -> u64 {
+    subject.shape().dims() as u64 * WORD
 }
 
 /// Arrays begin at multiples of this.
@@ -461,7 +466,17 @@ impl<'a> Streams<'a> {
         let x = (reach.left + draw.x as usize).wrapping_add_signed(run.dx as isize);
         let y = (reach.up + draw.y as usize).wrapping_add_signed(run.dy as isize);
         let len = run.len as usize;
-        let bytes = |pixels: usize| (pixels * pixel) as u32 * WORD as u32;
+        // Of a pixel, only the samples that the draw sees.
+        let seen = draw.samples as usize * shape.dims();
+        let bytes = |words: usize| words as u32 * WORD as u32;
+        let mut pieces = |first: u64, pixels: usize, registers: u32| {
+            let (count, words) = if seen == pixel { (1, pixels * pixel) } else { (pixels, seen) };
+            for piece in 0..count {
+                let address = first + (piece * pixel) as u64 * WORD;
+                let touched = bytes(words).next_multiple_of(registers);
+                emit(address, bytes(words), touched, purpose);
+            }
+        };
         match self.arrangement {
             Arrangement::Linear => {
                 let place = self.subject.partition().cell(cell);
@@ -472,7 +487,7 @@ impl<'a> Streams<'a> {
                 while left > 0 {
                     let here = left.min(shape.width() - x);
                     let word = (shape.pixel(x, y, t) * pixel) as u64;
-                    emit(base + word * WORD, bytes(here), bytes(here), purpose);
+                    pieces(base + word * WORD, here, WORD as u32);
                     (x, left) = (0, left - here);
                 }
             }
@@ -485,16 +500,14 @@ impl<'a> Streams<'a> {
                     (self.patches[block], patch, self.subject.blocks()[block].stride())
                 };
                 let word = corner + (y * frames + t) * stride + x * pixel;
-                let wanted = bytes(len);
-                let touched = wanted.next_multiple_of(REGISTERS);
-                emit(base + word as u64 * WORD, wanted, touched, purpose);
+                pieces(base + word as u64 * WORD, len, REGISTERS);
             }
             Arrangement::Bricks | Arrangement::Curve => {
                 let &(ref placement, samples, gradient) = &self.copies[cell];
                 let base = if purpose == Purpose::Gather { samples } else { gradient };
                 for x in x..x + len {
                     let word = placement.word(x, y, t) as u64;
-                    emit(base + word * WORD, bytes(1), bytes(1), purpose);
+                    pieces(base + word * WORD, 1, WORD as u32);
                 }
             }
         }
@@ -647,8 +660,8 @@ pub fn compare(subject: &Subject, levels: &[CacheLevel; 3]) -> Result<Vec<Behavi
         }
         let draws = StepDraws::new(subject, step, seen, MOST_MOVED - moved);
         drawn += draws.len() as u64;
-        let taps = draws.cells.iter().flat_map(|(_, draws)| draws).map(|draw| u64::from(draw.taps));
-        moved += 3 * taps.sum::<u64>() * subject.rows().pixel() as u64 * WORD;
+        let samples = draws.cells.iter().flat_map(|(_, draws)| draws).map(|draw| draw.subset());
+        moved += 3 * samples.sum::<usize>() as u64 * sample_bytes(subject);
         // Samples there, their gradient cleared and back.
         copied += 6 * subject.sizes().window * draws.cells.len() as u64;
         steps.push(draws);

@@ -4,12 +4,11 @@ use serde::Serialize;
 
 use perceptile_cluster::shared::MapError;
 
-use crate::draw::{CellDraws, Draws};
+use crate::draw::{CellDraws, Draws, LevelSets};
 use crate::gradient::probe::Probe;
 use crate::gradient::simd::Simd;
 use crate::gradient::{Gradient, Quantum, RunTables};
 use crate::kernel::Kernel;
-use crate::run::plan::levels;
 use crate::solver::{BLOCKS_PER_THREAD, Descent, Options, OptionsError, Samples, start};
 use crate::tile::{Block, Layout, Partition, Region, Rows, TileShape};
 
@@ -60,7 +59,7 @@ impl Subject {
         options.validate()?;
         let kernel = kernel.folded(options.shape.frames())?;
         options.check_kernel(&kernel)?;
-        let levels = levels(&kernel);
+        let levels = LevelSets::of(&kernel, options.shape.spp());
         let partition = Partition::new(options.shape, levels.reach());
         let runs = RunTables::new(&levels, options.shape.frames());
         let draws = Draws::new(options.draw, options.seed, levels, options.shape.dims());

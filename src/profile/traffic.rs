@@ -80,7 +80,7 @@ pub fn count(subject: &Subject, steps: u32) -> ([Traffic; Stage::ALL.len()], Sub
         for cell in 0..subject.partition().cells() {
             let CellDraws { draws, .. } = subject.cell_draws(step, cell);
             for draw in &draws {
-                let n = draw.taps as usize * subject.shape().spp();
+                let n = draw.subset();
                 draw_stages(subject, n, &mut stages);
                 let of = subject.runs().of(draw.set as usize, draw.taps as usize, &mut runs);
                 subsets.draws += 1;

@@ -121,8 +121,7 @@ impl Average {
 
     fn spec(&self, truncation: Option<Truncation>) -> Result<KernelSpec, String> {
         let kind = ClassKind::Product { factors: vec![self.factor.clone()], truncation };
-        KernelSpec::new(vec![ClassSpec { weight: 1.0, kind }])
-            .map_err(|problem| problem.to_string())
+        KernelSpec::new(vec![ClassSpec::lone(kind)]).map_err(|problem| problem.to_string())
     }
 }
 

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use crate::draw::{Draws, LevelSets};
 use crate::gradient::simd::Simd;
 use crate::gradient::{Gradient, Quantum};
-use crate::kernel::{Kernel, KernelTaps};
+use crate::kernel::Kernel;
 use crate::solver::{
     Options, OptionsError, Parallelism, Phase, StopReason, StoragePlan, polish, rounds,
 };
@@ -77,7 +77,7 @@ impl Plan {
 
     /// The cells that draws are made for.
     pub fn partition(&self) -> Partition {
-        Partition::new(self.options.shape, levels(&self.seen()).reach())
+        Partition::new(self.options.shape, self.levels().reach())
     }
 
     /// The regions of the ranks, as one of them sees them.
@@ -91,15 +91,16 @@ impl Plan {
 
     /// How far samples see each other in the polish.
     pub fn sight(&self) -> Reach {
-        let kernel = self.seen();
-        polish::sight(&classes(&kernel), self.options.shape.frames())
+        polish::sight(self.seen().classes(), self.options.shape)
     }
 
     /// The memory that the workers of a rank share, for its region.
     pub fn storage(&self, region: Region) -> StoragePlan {
+        let layers = self.kernel.layers(self.options.shape.spp()).len();
         let plan = StoragePlan::new(&self.partition(), region, self.parallelism);
+        let plan = plan.with_layers(layers);
         let polished = self.options.polish.steps > 0;
-        if polished { plan.with_polish(levels(&self.seen()).reach().doubled()) } else { plan }
+        if polished { plan.with_polish(self.levels().reach().doubled()) } else { plan }
     }
 
     /// The last round of all.
@@ -168,10 +169,15 @@ impl Plan {
         self.kernel.folded(self.options.shape.frames()).expect("a plan that was checked")
     }
 
+    /// The level sets of all classes of the kernel that the tile sees.
+    fn levels(&self) -> LevelSets {
+        LevelSets::of(&self.seen(), self.options.shape.spp())
+    }
+
     /// Its draws, and what their gradients are counted in.
     fn draws(&self) -> Result<(Draws, Quantum), OptionsError> {
         let Options { draw, seed, shape, .. } = self.options;
-        let draws = Draws::new(draw, seed, levels(&self.seen()), shape.dims());
+        let draws = Draws::new(draw, seed, self.levels(), shape.dims());
         let quantum = Quantum::new(&draws, &self.partition())
             .ok_or(OptionsError::Batch { draws: draw.draws, directions: draw.directions })?;
         Ok((draws, quantum))
@@ -185,14 +191,4 @@ impl Plan {
         let (draws, quantum) = self.draws()?;
         Ok(Gradient::new(draws, self.partition(), quantum, simd))
     }
-}
-
-/// The classes of a kernel with their shares.
-pub(super) fn classes(kernel: &Kernel) -> Vec<(f64, &KernelTaps)> {
-    kernel.classes().iter().map(|class| (class.weight, &class.taps)).collect()
-}
-
-/// The level sets of all classes of a kernel that a tile sees.
-pub(crate) fn levels(kernel: &Kernel) -> LevelSets {
-    LevelSets::new(classes(kernel))
 }

@@ -11,7 +11,7 @@ use perceptile_cluster::{Ends, Worker};
 use crate::format::numbers::ArraySource;
 use crate::gradient::probe::Unprobed;
 use crate::gradient::simd::Simd;
-use crate::run::plan::{Plan, Position, classes};
+use crate::run::plan::{Plan, Position};
 use crate::solver::polish::Polish;
 use crate::solver::{Descent, OptionsError, Phase, Record, Storage, rounds, warp};
 use crate::tile::Regions;
@@ -113,7 +113,9 @@ impl<'a> Steps<'a> {
         let Stage::Over(storage) = stage else { panic!("a step is still to be done") };
         let shape = regions.own().shape();
         let options = &plan.options;
-        let storage = warp::warp(&worker, storage, shape, options.warp, options.seed, simd);
+        let layers = plan.kernel.layers(shape.spp());
+        let what = (shape, layers.as_slice());
+        let storage = warp::warp(&worker, storage, what, options.warp, options.seed, simd);
         // A round without jobs says that all is over, warped or not.
         worker.round(plan.last_round(), Ends::Half, 0..0, (), |_, ()| ());
         storage
@@ -138,11 +140,9 @@ impl<'a> Steps<'a> {
             }
             Phase::Start | Phase::Descent => return self.start(Phase::Polish, storage),
             Phase::Polish if is_due && plan.goes_on(worker, self.at) => {
-                let kernel = plan.seen();
-                let classes = classes(&kernel);
-                let options = plan.options.polish;
-                let polish =
-                    Polish::enter(worker.clone(), storage, regions, &classes, options, how);
+                let (kernel, options) = (plan.seen(), plan.options.polish);
+                let classes = kernel.classes();
+                let polish = Polish::enter(worker.clone(), storage, regions, classes, options, how);
                 self.stage = Stage::Polish(Box::new(polish));
             }
             Phase::Polish => return self.start(Phase::Warp, storage),

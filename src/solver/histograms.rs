@@ -12,8 +12,10 @@ pub(crate) const BINS: usize = 256;
 /// and counts them; of no influence on the result.
 pub(crate) const CHUNK: usize = 1 << 14;
 
-/// Words of a job's histograms: two axes at most.
-pub(crate) const COUNTS: usize = 2 * BINS;
+/// Words of a job's histograms: of each layer of samples, two axes at most.
+pub(crate) fn job_words(layers: usize) -> usize {
+    2 * BINS * layers
+}
 
 /// Jobs that the samples of a tile are dealt out as, to so many threads.
 pub(crate) fn jobs(shape: TileShape, threads: usize) -> usize {
@@ -22,6 +24,6 @@ pub(crate) fn jobs(shape: TileShape, threads: usize) -> usize {
 }
 
 /// Words of the histograms of all jobs.
-pub(crate) fn count_words(shape: TileShape, threads: usize) -> usize {
-    jobs(shape, threads) * COUNTS
+pub(crate) fn count_words(shape: TileShape, threads: usize, layers: usize) -> usize {
+    jobs(shape, threads) * job_words(layers)
 }

@@ -13,6 +13,7 @@
 //! Every sample's gradient is summed by one thread in the order of the offsets, so no order of
 //! execution can change it.
 
+use std::collections::BTreeMap;
 use std::io;
 use std::ops::Range;
 use std::sync::Arc;
@@ -24,7 +25,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::format::numbers::{ArraySource, NumberSink};
 use crate::gradient::simd::{Isa, Simd, Vectorized};
-use crate::kernel::KernelTaps;
+use crate::kernel::KernelClass;
 use crate::solver::adam::AdamOptions;
 use crate::solver::rounds::{self, Part};
 use crate::solver::state::{Line, State, by_line};
@@ -53,39 +54,77 @@ const LEAST_WEIGHT: f64 = 0.005;
 /// Samples of a row that are worked on together.
 const LANES: usize = 8;
 
-/// One offset of the autocorrelation.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Pair {
-    offset: IVec3,
-    weight: f32,
-}
-
-/// Σ over classes of weight · autocorrelation, each scaled to 1 at offset 0, with offsets in time
-/// taken modulo the tile's frames; sorted by place.
-fn autocorrelation(classes: &[(f64, &KernelTaps)], frames: usize) -> Vec<(IVec3, f64)> {
-    let mut sums = std::collections::BTreeMap::<(i32, i32, i32), f64>::new();
-    for (weight, kernel) in classes {
-        let square: f64 = kernel.taps().iter().map(|tap| tap.weight * tap.weight).sum();
-        for a in kernel.taps() {
-            for b in kernel.taps() {
-                let o = b.offset - a.offset;
-                let t = o.z.rem_euclid(frames as i32);
-                *sums.entry((t, o.y, o.x)).or_default() += weight * a.weight * b.weight / square;
-            }
-        }
-    }
-    sums.into_iter().map(|((t, y, x), g)| (IVec3::new(x, y, t), g)).collect()
-}
-
 /// Lines of the tile that a thread works on at a time, in all frames.
 const BAND: usize = 8;
 
-/// Offsets of a mixture of kernels that see each other, with their weights.
-fn offsets(classes: &[(f64, &KernelTaps)], frames: usize) -> Vec<(IVec3, f64)> {
-    let mut all = autocorrelation(classes, frames);
-    let least = LEAST_WEIGHT * classes.iter().map(|(weight, _)| weight).sum::<f64>();
-    all.retain(|(_, g)| g.abs() >= least);
-    all
+/// At which offsets samples see each other, and with what weight.
+///
+/// Two samples see each other through all classes whose prefix has both, so the one that comes later
+/// in its pixel says through which.
+#[derive(Debug, Clone)]
+struct Sight {
+    /// The offsets of each layer with their weights, sorted by place; times are from 0 to the tile's
+    /// frames.
+    layers: Vec<Vec<(IVec3, f64)>>,
+    /// The layer of each sample of a pixel.
+    of_samples: Vec<usize>,
+}
+
+impl Sight {
+    /// All offsets of a mixture of kernels whose weight, against that of a sample with itself, is at
+    /// least `least`.
+    fn new(classes: &[KernelClass], shape: TileShape, least: f64) -> Self {
+        let spp = shape.spp();
+        // How much each class has to say for the pairs whose later sample is number m. The energy of
+        // a prefix of k samples has k² pairs, and independent samples have an error of 1/k.
+        let share = |class: &KernelClass, m: usize| -> f64 {
+            let shares = class.prefix.map_or_else(|| vec![(spp, 1.0)], |prefix| prefix.shares(spp));
+            let seen = shares.into_iter().filter(|&(samples, _)| samples > m);
+            let sum: f64 = seen.map(|(samples, share)| share * spp as f64 / samples as f64).sum();
+            class.weight * sum
+        };
+        let shares = |m: usize| classes.iter().map(|class| share(class, m)).collect();
+        let all: Vec<Vec<f64>> = (0..spp).map(shares).collect();
+        let same = || all.chunk_by(PartialEq::eq);
+        let of_samples = same().enumerate().flat_map(|(i, same)| vec![i; same.len()]).collect();
+        let layers = same().map(|same| layer(classes, &same[0], shape.frames(), least)).collect();
+        Self { layers, of_samples }
+    }
+
+    /// How far it reaches in x and y.
+    fn reach(&self) -> Reach {
+        let places = || self.layers.iter().flatten().map(|(place, _)| place);
+        let far = |of: fn(&IVec3) -> i32| places().map(of).max().unwrap_or(0).max(0) as usize;
+        Reach { left: far(|o| -o.x), right: far(|o| o.x), up: far(|o| -o.y), down: far(|o| o.y) }
+    }
+
+    /// For each sample of a pixel, the sum of the weights of all samples that it sees, for the
+    /// gradient of the uniform density.
+    fn totals(&self) -> Vec<f32> {
+        let sum = |layer: &Vec<(IVec3, f64)>| layer.iter().map(|(_, g)| g).sum();
+        let sums: Vec<f64> = self.layers.iter().map(sum).collect();
+        let spp = self.of_samples.len();
+        let total =
+            |s: usize| -> f64 { (0..spp).map(|other| sums[self.of_samples[s.max(other)]]).sum() };
+        (0..spp).map(|s| total(s) as f32).collect()
+    }
+}
+
+/// Σ over classes of share · autocorrelation, each scaled to 1 at offset 0, without what is smaller
+/// than `least` of that.
+fn layer(classes: &[KernelClass], shares: &[f64], frames: usize, least: f64) -> Vec<(IVec3, f64)> {
+    let mut sums = BTreeMap::<(i32, i32, i32), f64>::new();
+    for (class, share) in classes.iter().zip(shares).filter(|(_, share)| **share > 0.0) {
+        let (taps, square) = (class.taps.taps(), class.taps.power());
+        for (a, b) in taps.iter().flat_map(|a| taps.iter().map(move |b| (a, b))) {
+            let o = b.offset - a.offset;
+            let place = (o.z.rem_euclid(frames as i32), o.y, o.x);
+            *sums.entry(place).or_default() += share * a.weight * b.weight / square;
+        }
+    }
+    let least = least * shares.iter().sum::<f64>();
+    let all = sums.into_iter().filter(|(_, g)| g.abs() >= least);
+    all.map(|((t, y, x), g)| (IVec3::new(x, y, t), g)).collect()
 }
 
 /// Full-batch descent on the energy.
@@ -94,11 +133,10 @@ pub struct Polish {
     options: PolishOptions,
     simd: Simd,
     state: State,
-    pairs: Vec<Pair>,
-    /// Weight of a sample with itself, which other samples of its pixel share.
-    own: f32,
-    /// Σ over all pairs of weights, for the gradient of the uniform density.
-    total: f32,
+    sight: Sight,
+    /// For each sample of a pixel, Σ over all pairs of weights, for the gradient of the uniform
+    /// density.
+    totals: Vec<f32>,
     density: Density,
     /// Downhill gradient in the order of the rows, without copies.
     gradients: Parts<f32>,
@@ -120,18 +158,17 @@ impl Polish {
     /// If there is no memory for it.
     pub fn alone(
         shape: TileShape,
-        classes: &[(f64, &KernelTaps)],
+        classes: &[KernelClass],
         options: PolishOptions,
         simd: Simd,
         samples: &Samples,
     ) -> Result<Self, MapError> {
-        Self::with_offsets(shape, offsets(classes, shape.frames()), options, simd, samples)
+        Self::with_sight(shape, Sight::new(classes, shape, LEAST_WEIGHT), options, simd, samples)
     }
 
-    /// The same for an autocorrelation.
-    fn with_offsets(
+    fn with_sight(
         shape: TileShape,
-        all: Vec<(IVec3, f64)>,
+        sight: Sight,
         options: PolishOptions,
         simd: Simd,
         samples: &Samples,
@@ -139,9 +176,9 @@ impl Polish {
         let regions = Regions::whole(shape);
         let partition = Partition::new(shape, Reach::default());
         let plan = StoragePlan::new(&partition, regions.own(), Parallelism::threads());
-        let (worker, mut storage) = plan.with_polish(reach(&all)).private()?;
+        let (worker, mut storage) = plan.with_polish(sight.reach()).private()?;
         storage.tile_mut(shape).copy_from_slice(&samples.words);
-        Ok(Self::on(worker, storage, &regions, all, options, (simd, 0)))
+        Ok(Self::on(worker, storage, &regions, sight, options, (simd, 0)))
     }
 
     /// Prepares the descent from the samples of a region that lie in the storage, by all ranks of
@@ -151,30 +188,23 @@ impl Polish {
         worker: Arc<Worker>,
         storage: Storage,
         regions: &Regions,
-        classes: &[(f64, &KernelTaps)],
+        classes: &[KernelClass],
         options: PolishOptions,
         (simd, first_step): (Simd, u32),
     ) -> Self {
-        let all = offsets(classes, regions.own().tile().frames());
-        Self::on(worker, storage, regions, all, options, (simd, first_step))
+        let sight = Sight::new(classes, regions.own().tile(), LEAST_WEIGHT);
+        Self::on(worker, storage, regions, sight, options, (simd, first_step))
     }
 
     fn on(
         worker: Arc<Worker>,
         storage: Storage,
         regions: &Regions,
-        all: Vec<(IVec3, f64)>,
+        sight: Sight,
         options: PolishOptions,
         (simd, first_step): (Simd, u32),
     ) -> Self {
-        let (shape, reach) = (regions.own().shape(), reach(&all));
-        let total: f64 = all.iter().map(|(_, g)| g).sum();
-        let own = all.iter().find(|(o, _)| *o == IVec3::ZERO).map_or(0.0, |(_, g)| *g);
-        let pairs = all
-            .into_iter()
-            .filter(|(o, _)| *o != IVec3::ZERO)
-            .map(|(offset, g)| Pair { offset, weight: g as f32 })
-            .collect();
+        let (shape, reach, totals) = (regions.own().shape(), sight.reach(), sight.totals());
         let Storage { samples, first, second, work, counts, objectives, owners, record } = storage;
         let sections = [samples, first, second];
         let line = shape.coordinates() / shape.height();
@@ -196,9 +226,8 @@ impl Polish {
             options,
             simd,
             state,
-            pairs,
-            own: own as f32,
-            total: (total * shape.spp() as f64) as f32,
+            sight,
+            totals,
             density: Density::new(),
             gradients: work.parts(bands.iter().map(|band| part(band).collect()).collect()),
             bands,
@@ -271,8 +300,8 @@ impl Polish {
     }
 
     fn gradients_of_bands(&mut self, step: u32, part: Part, which: Range<usize>) {
-        let Self { worker, state, pairs, density, gradients, simd, own, total, options, .. } = self;
-        let bands = &self.bands;
+        let Self { worker, state, sight, density, gradients, simd, options, .. } = self;
+        let (bands, totals) = (&self.bands, &self.totals);
         let rows = &state.rows;
         let samples = state.samples.whole();
         let shape = rows.shape();
@@ -285,26 +314,10 @@ impl Polish {
             let planes = Planes::new(rows, samples, band.start, band.len());
             gradients.fill(0.0);
             for t in 0..shape.frames() {
-                // The rows of frame t: where each pair's other row starts.
-                let words: Vec<(i32, f32)> = pairs
-                    .iter()
-                    .map(|pair| {
-                        let frame = (t as i32 + pair.offset.z) % shape.frames() as i32;
-                        let offset = [pair.offset.x, pair.offset.y, frame - t as i32];
-                        (planes.distance(offset), pair.weight)
-                    })
-                    .collect();
-                let frame = Frame {
-                    t,
-                    spp: shape.spp(),
-                    dims: shape.dims(),
-                    planes: &planes,
-                    words: &words,
-                    own: *own,
-                    terms,
-                    total: *total,
-                    density,
-                };
+                let layers: Vec<Layer> =
+                    sight.layers.iter().map(|layer| planes.layer(layer, t)).collect();
+                let (planes, of_samples) = (&planes, sight.of_samples.as_slice());
+                let frame = Frame { t, shape, planes, layers, of_samples, terms, totals, density };
                 simd.run(FrameJob { frame, gradients: &mut *gradients });
                 worker.fault(faults::GRADIENT);
             }
@@ -319,15 +332,8 @@ impl ArraySource for Polish {
 }
 
 /// How far samples of a mixture of kernels see each other in the polish.
-pub fn sight(classes: &[(f64, &KernelTaps)], frames: usize) -> Reach {
-    reach(&offsets(classes, frames))
-}
-
-/// How far offsets reach in x and y.
-fn reach(all: &[(IVec3, f64)]) -> Reach {
-    let far =
-        |of: fn(&IVec3) -> i32| all.iter().map(|(o, _)| of(o)).max().unwrap_or(0).max(0) as usize;
-    Reach { left: far(|o| -o.x), right: far(|o| o.x), up: far(|o| -o.y), down: far(|o| o.y) }
+pub fn sight(classes: &[KernelClass], shape: TileShape) -> Reach {
+    Sight::new(classes, shape, LEAST_WEIGHT).reach()
 }
 
 /// Samples of a band of lines and around it, taken apart: one plane for each number of a pixel,
@@ -339,6 +345,13 @@ struct Planes {
     width: usize,
     height: usize,
     frames: usize,
+}
+
+/// Whom the samples of a frame see in a layer: how far each neighbour's word is from that of a pixel,
+/// with its weight; and the weight of other samples of the pixel itself.
+struct Layer {
+    words: Vec<(i32, f32)>,
+    own: f32,
 }
 
 impl Planes {
@@ -367,22 +380,29 @@ impl Planes {
         (t * self.height + y + self.reach.up) * self.width + x + self.reach.left
     }
 
-    /// From a pixel to the one at an offset `[dx, dy, dt]`.
-    fn distance(&self, [dx, dy, dt]: [i32; 3]) -> i32 {
-        (dt * self.height as i32 + dy) * self.width as i32 + dx
+    /// The words of a layer for the pixels of frame `t`.
+    fn layer(&self, offsets: &[(IVec3, f64)], t: usize) -> Layer {
+        let word = |&(offset, weight): &(IVec3, f64)| {
+            let frame = (t as i32 + offset.z) % self.frames as i32;
+            let row = (frame - t as i32) * self.height as i32 + offset.y;
+            (row * self.width as i32 + offset.x, weight as f32)
+        };
+        let others = offsets.iter().filter(|(offset, _)| *offset != IVec3::ZERO);
+        let own = offsets.iter().find(|(offset, _)| *offset == IVec3::ZERO);
+        Layer { words: others.map(word).collect(), own: own.map_or(0.0, |&(_, g)| g as f32) }
     }
 }
 
 /// One frame of a band.
 struct Frame<'a> {
     t: usize,
-    spp: usize,
-    dims: usize,
+    shape: TileShape,
     planes: &'a Planes,
-    words: &'a [(i32, f32)],
-    own: f32,
+    layers: Vec<Layer>,
+    /// The layer of each sample of a pixel.
+    of_samples: &'a [usize],
     terms: Terms,
-    total: f32,
+    totals: &'a [f32],
     density: &'a Density,
 }
 
@@ -399,7 +419,7 @@ impl Vectorized for FrameJob<'_> {
         let Self { frame, gradients } = self;
         let Planes { reach, width, height, frames, .. } = *frame.planes;
         let (width, lines) = (width - reach.left - reach.right, height - reach.up - reach.down);
-        let (spp, dims) = (frame.spp, frame.dims);
+        let (spp, dims) = (frame.shape.spp(), frame.shape.dims());
         for y in 0..lines {
             for x in (0..width).step_by(LANES) {
                 let place = frame.planes.place(x, y, frame.t);
@@ -430,20 +450,22 @@ impl Frame<'_> {
     /// are one, on that alone.
     #[inline(always)]
     fn pair(&self, place: usize, s: usize, a: usize, b: usize) -> [[f32; LANES]; 2] {
+        let (planes, dims) = (self.planes, self.shape.dims());
         let load = |s: usize, place: usize| -> [[f32; LANES]; 2] {
             let row = |k: usize| -> [f32; LANES] {
-                let plane = &self.planes.words[s * self.dims + k];
+                let plane = &planes.words[s * dims + k];
                 plane[place..place + LANES].try_into().expect("a slice of that length")
             };
             [row(a), if a == b { [0.0; LANES] } else { row(b) }]
         };
         let at = load(s, place);
         let mut gradient = [[0.0_f32; LANES]; 2];
-        for other in 0..self.spp {
+        for other in 0..self.shape.spp() {
+            let Layer { words, own } = &self.layers[self.of_samples[s.max(other)]];
             if other != s {
-                self.terms.push(&mut gradient, at, load(other, place), self.own);
+                self.terms.push(&mut gradient, at, load(other, place), *own);
             }
-            for &(word, weight) in self.words {
+            for &(word, weight) in words {
                 let from = (place as i32 + word) as usize;
                 self.terms.push(&mut gradient, at, load(other, from), weight);
             }
@@ -452,8 +474,8 @@ impl Frame<'_> {
         for lane in 0..LANES {
             let [x, y] = [at[0][lane], at[1][lane]];
             let [gx, gy] = if a == b { [2.0 * x - 1.0, 0.0] } else { self.density.gradient(x, y) };
-            gradient[0][lane] -= self.total * (gx + away * (2.0 * x - 1.0));
-            gradient[1][lane] -= self.total * (gy + away * (2.0 * y - 1.0));
+            gradient[0][lane] -= self.totals[s] * (gx + away * (2.0 * x - 1.0));
+            gradient[1][lane] -= self.totals[s] * (gy + away * (2.0 * y - 1.0));
         }
         gradient
     }
@@ -563,29 +585,35 @@ fn distances_to_side(x: f64, y: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use std::collections::BTreeMap;
-
     use super::*;
     use crate::kernel::KernelSpec;
     use crate::metric::Baseline;
     use crate::tile::{Tile, TileShape};
 
+    /// A class of a mixture.
+    struct SlowClass {
+        /// G between each two pixels.
+        weights: Vec<Vec<f64>>,
+        /// The numbers of samples that it sees, each with its weight.
+        prefixes: Vec<(usize, f64)>,
+    }
+
     /// The energy in f64 by the double sum over all samples, with nothing of the fast path: G
     /// from the filter's own rows, V by quadrature.
     struct Slow {
         shape: TileShape,
-        /// G between each two pixels.
-        weights: Vec<Vec<f64>>,
+        classes: Vec<SlowClass>,
         axis: f64,
         linear: f64,
     }
 
     impl Slow {
-        fn new(shape: TileShape, classes: &[(f64, &KernelTaps)], axis: f64, linear: f64) -> Self {
+        fn new(shape: TileShape, classes: &[KernelClass], axis: f64, linear: f64) -> Self {
             let size =
                 IVec3::new(shape.width() as i32, shape.height() as i32, shape.frames() as i32);
-            let mut weights = vec![vec![0.0; shape.pixels()]; shape.pixels()];
-            for (share, kernel) in classes {
+            let mut all = Vec::new();
+            for KernelClass { weight: share, taps: kernel, prefix, .. } in classes {
+                let mut weights = vec![vec![0.0; shape.pixels()]; shape.pixels()];
                 for filtered in 0..shape.pixels() as i32 {
                     let place = IVec3::new(
                         filtered % size.x,
@@ -606,8 +634,26 @@ mod tests {
                         }
                     }
                 }
+                let spp = shape.spp() as f64;
+                let prefixes = prefix.map_or(vec![(shape.spp(), 1.0)], |prefix| {
+                    let samples =
+                        prefix.least as usize..=prefix.most.map_or(shape.spp(), |k| k as usize);
+                    let total: f64 = samples.clone().map(|k| (k as f64).powf(-0.5)).sum();
+                    samples.map(|k| (k, spp * (k as f64).powf(-1.5) / total)).collect()
+                });
+                all.push(SlowClass { weights, prefixes });
             }
-            Self { shape, weights, axis, linear }
+            Self { shape, classes: all, axis, linear }
+        }
+
+        /// How much two samples see of each other: through each class, in every prefix with both.
+        fn weight(&self, a: usize, b: usize) -> f64 {
+            let spp = self.shape.spp();
+            let of_class = |SlowClass { weights, prefixes }: &SlowClass| {
+                let both = prefixes.iter().filter(|(k, _)| a % spp < *k && b % spp < *k);
+                weights[a / spp][b / spp] * both.map(|(_, weight)| weight).sum::<f64>()
+            };
+            self.classes.iter().map(of_class).sum()
         }
 
         /// What takes the place of the distance, between points of one pair of dimensions.
@@ -633,7 +679,7 @@ mod tests {
 
         /// The part of the energy that depends on one sample.
         fn energy(&self, points: &[f64], sample: usize) -> f64 {
-            let (spp, dims) = (self.shape.spp(), self.shape.dims());
+            let dims = self.shape.dims();
             let planar = dims > 1;
             let mut energy = 0.0;
             for b in 0..dims {
@@ -644,7 +690,7 @@ mod tests {
                     let x = at(sample);
                     let mut total = 0.0;
                     for other in 0..self.shape.samples() {
-                        let weight = self.weights[sample / spp][other / spp];
+                        let weight = self.weight(sample, other);
                         let u = at(other);
                         energy -= weight * self.distance([x[0] - u[0], x[1] - u[1]]);
                         total += weight;
@@ -656,14 +702,14 @@ mod tests {
         }
     }
 
-    fn polish(tile: &Tile, classes: &[(f64, &KernelTaps)], simd: Simd) -> Polish {
+    fn polish(tile: &Tile, classes: &[KernelClass], simd: Simd) -> Polish {
         let adam =
             AdamOptions { rate: 0.01, final_rate: 0.0, beta1: 0.9, beta2: 0.99, epsilon: 1e-8 };
         let options = PolishOptions { steps: 10, axis_weight: 0.3, linear_weight: 0.7, adam };
         let samples = Samples::from_tile(tile);
         // With all offsets: the slow energy leaves none out.
-        let all = autocorrelation(classes, tile.shape().frames());
-        Polish::with_offsets(tile.shape(), all, options, simd, &samples).unwrap()
+        let sight = Sight::new(classes, tile.shape(), 0.0);
+        Polish::with_sight(tile.shape(), sight, options, simd, &samples).unwrap()
     }
 
     #[test]
@@ -675,15 +721,17 @@ mod tests {
             ([4, 5, 3, 2, 3], "gaussian(1) * ema(0.5) @ 4x3x3"),
             ([33, 4, 1, 1, 2], "gaussian(1) @ 3x3x1"),
             ([7, 5, 3, 1, 2], SIGNED),
+            (
+                [5, 4, 4, 3, 2],
+                "0.8: gaussian(1) * box(2) * every(2) @ 3x3x2 of 1.. + 0.2: column of 2",
+            ),
         ] {
             let shape = TileShape::new(width, height, frames, spp, dims).unwrap();
             let tile = Baseline::White.tile(shape, 6);
             let whole = kernel.parse::<KernelSpec>().unwrap().resolve(shape).unwrap();
             let folded = whole.folded(frames).unwrap();
-            let [whole, classes] = [&whole, &folded].map(|kernel| {
-                kernel.classes().iter().map(|class| (class.weight, &class.taps)).collect::<Vec<_>>()
-            });
-            let mut fast = polish(&tile, &classes, Simd::detect());
+            let (whole, classes) = (whole.classes(), folded.classes());
+            let mut fast = polish(&tile, classes, Simd::detect());
             fast.gradients(0);
             // The gradients in C order.
             let mut gradients = vec![0.0_f64; shape.coordinates()];
@@ -693,7 +741,7 @@ mod tests {
                 (0..own).for_each(|k| gradients[to + k] = f64::from(words[k]));
             }
 
-            let slow = Slow::new(shape, &whole, 0.3, 0.7);
+            let slow = Slow::new(shape, whole, 0.3, 0.7);
             let points: Vec<f64> = tile.samples().iter().map(|&x| f64::from(x)).collect();
             let mut largest = 0.0_f64;
             for word in (0..points.len()).step_by(7) {
@@ -710,7 +758,7 @@ mod tests {
             }
             assert!(largest > 0.5, "{shape}: slopes up to {largest} only");
 
-            let mut plain = polish(&tile, &classes, Simd::plain());
+            let mut plain = polish(&tile, classes, Simd::plain());
             plain.gradients(0);
             let bits = |polish: &Polish| {
                 polish.gradients.whole()[..gradients.len()]

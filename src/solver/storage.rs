@@ -29,6 +29,7 @@ pub struct StoragePlan {
     samples: usize,
     work: usize,
     blocks: usize,
+    layers: usize,
 }
 
 /// The sections that phases hand on.
@@ -69,7 +70,17 @@ impl StoragePlan {
             samples: rows(shape, partition.reach()).max(shape.coordinates()),
             work: patches.max(shape.coordinates()),
             blocks,
+            layers: 1,
         }
+    }
+
+    /// The same for a tile whose samples the warp makes uniform in so many layers.
+    pub fn with_layers(self, layers: usize) -> Self {
+        Self { layers, ..self }
+    }
+
+    fn count_words(&self) -> usize {
+        histograms::count_words(self.shape, self.parallelism.all_threads(), self.layers)
     }
 
     /// The same, and memory for a polish whose samples see each other so far away.
@@ -97,7 +108,7 @@ impl StoragePlan {
 
     /// Bytes of it all; saturating.
     pub fn bytes(&self) -> usize {
-        let counts = bytes(8, histograms::count_words(self.shape, self.parallelism.all_threads()));
+        let counts = bytes(8, self.count_words());
         [
             bytes(4, self.samples),
             bytes(4, self.moments()),
@@ -145,9 +156,7 @@ impl StoragePlan {
             first: arena.take(4 * self.moments()),
             second: arena.take(4 * self.moments()),
             work: arena.take(4 * self.work),
-            counts: [(); 2].map(|()| {
-                arena.take(8 * histograms::count_words(self.shape, self.parallelism.all_threads()))
-            }),
+            counts: [(); 2].map(|()| arena.take(8 * self.count_words())),
             objectives: Arc::new(Objectives(
                 arena.take(8 * Objectives::WORDS * self.blocks).words(),
             )),

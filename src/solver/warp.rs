@@ -11,6 +11,7 @@
 //! Distributions are integer histograms of fixed bins, which add up alike in one process and on
 //! a cluster.
 
+use std::ops::Range;
 use std::sync::OnceLock;
 
 use perceptile_cluster::shared::{Parts, Section};
@@ -20,7 +21,7 @@ use serde::{Deserialize, Serialize};
 use crate::draw::{Direction, DirectionSet, Stream, Use};
 use crate::gradient::Targets;
 use crate::gradient::simd::{Isa, Simd, Vectorized};
-use crate::solver::histograms::{BINS, CHUNK, COUNTS, jobs};
+use crate::solver::histograms::{BINS, CHUNK, job_words, jobs};
 use crate::solver::{Parallelism, Phase, Storage, faults, rounds};
 use crate::tile::{MAX_DIMS, TileShape, clamp_coordinate};
 
@@ -42,14 +43,15 @@ impl WarpOptions {
 }
 
 /// Warps the tile towards uniform density; `shape` is that of the region that lies in the storage,
-/// where [`Storage::into_tile`] finds it then.
+/// where [`Storage::into_tile`] finds it then. Of every pixel's samples each of the `layers` becomes
+/// uniform by itself, and so does every prefix that is made of them.
 ///
 /// Each round moves the samples by one frame, from one section to another and back, and counts
 /// them for the next frame. Ranks of a cluster add up what they count, and nothing else.
 pub fn warp(
     worker: &Worker,
     storage: Storage,
-    shape: TileShape,
+    (shape, layers): (TileShape, &[Range<usize>]),
     options: WarpOptions,
     seed: u64,
     simd: Simd,
@@ -60,6 +62,8 @@ pub fn warp(
         return storage;
     }
     let jobs = jobs(shape, Parallelism::of(worker).all_threads());
+    let layers = Layers::new(layers);
+    let job_words = job_words(layers.count);
     let points = shape.coordinates() / dims;
     let part = |job: usize| points * job / jobs * dims..points * (job + 1) / jobs * dims;
     let tile =
@@ -68,7 +72,7 @@ pub fn warp(
     let mut tiles = [work, samples].map(tile);
     // Those of one frame are read while those of the next are made.
     let mut counts = counts.map(|section| {
-        let part = |job: usize| std::iter::once(job * COUNTS..(job + 1) * COUNTS).collect();
+        let part = |job: usize| std::iter::once(job * job_words..(job + 1) * job_words).collect();
         section.parts::<i64>((0..jobs).map(part).collect())
     });
 
@@ -89,8 +93,8 @@ pub fn warp(
             let (from, seen) = (from.whole(), seen.whole());
             let maps = OnceLock::new();
             let add_up = || -> Vec<i64> {
-                let count = |bin: usize| seen[bin..].iter().step_by(COUNTS).take(jobs).sum();
-                (0..COUNTS).map(count).collect()
+                let count = |bin: usize| seen[bin..].iter().step_by(job_words).take(jobs).sum();
+                (0..job_words).map(count).collect()
             };
             let communicator = worker.communicator();
             let all_ranks = (frame > 0 && communicator.size() > 1).then(|| {
@@ -100,26 +104,37 @@ pub fn warp(
             });
             let make_maps = || -> Vec<Vec<f32>> {
                 let sums = all_ranks.clone().unwrap_or_else(add_up);
-                let axes = before.iter().zip(sums.chunks(BINS));
-                axes.map(|(axis, sums)| axis.displacements(&targets, sums, options.rate)).collect()
+                let axes = before.iter().zip(sums.chunks(BINS * layers.count));
+                axes.map(|(axis, sums)| {
+                    let of_layers = sums.chunks(BINS);
+                    of_layers
+                        .flat_map(|of| axis.displacements(&targets, of, options.rate))
+                        .collect()
+                })
+                .collect()
             };
             worker.round(round, Ends::Half, 0..jobs, (to, counts), |job, (mut to, mut counts)| {
                 let (to, counts) = (to.piece(0), counts.piece(0));
                 counts.fill(0);
-                let from = &from[part(job.index())];
+                let part = part(job.index());
+                let mut sample = part.start / dims;
+                let from = &from[part];
                 let chunk = CHUNK / dims * dims;
                 for (to, from) in to.chunks_mut(chunk).zip(from.chunks(chunk)) {
+                    let layers = layers.from(sample);
+                    sample += from.len() / dims;
                     let mut points = from;
                     if frame > 0 {
                         // Made by who holds a job, so that the counts cannot change meanwhile.
                         let maps = maps.get_or_init(make_maps);
                         to.copy_from_slice(from);
-                        simd.run(Move { axes: &before, maps, dims, points: to });
+                        simd.run(Move { axes: &before, maps, dims, layers, points: to });
                         points = to;
                     }
                     worker.fault(faults::WARP);
-                    for (axis, counts) in now.iter().zip(counts.chunks_mut(BINS)) {
-                        simd.run(Count { axis, dims, points, counts });
+                    let of_axes = counts.chunks_mut(BINS * layers.count);
+                    for (axis, counts) in now.iter().zip(of_axes) {
+                        simd.run(Count { axis, dims, layers, points, counts });
                     }
                 }
             });
@@ -136,6 +151,50 @@ pub fn warp(
         objectives,
         owners,
         record,
+    }
+}
+
+/// The layers of a pixel's samples.
+struct Layers {
+    count: usize,
+    /// The layer of each sample of a pixel; one for all, if there is one.
+    of_samples: Vec<usize>,
+}
+
+/// The layers of samples that lie one after the other.
+#[derive(Clone, Copy)]
+struct LayersFrom<'a> {
+    count: usize,
+    of_samples: &'a [usize],
+    /// Number of the first sample in its pixel.
+    first: usize,
+}
+
+impl Layers {
+    fn new(layers: &[Range<usize>]) -> Self {
+        let of_samples =
+            layers.iter().enumerate().flat_map(|(i, layer)| layer.clone().map(move |_| i));
+        let of_samples = if layers.len() == 1 { vec![0] } else { of_samples.collect() };
+        Self { count: layers.len(), of_samples }
+    }
+
+    /// The layers of the samples from one of them on.
+    fn from(&self, sample: usize) -> LayersFrom<'_> {
+        let first = sample % self.of_samples.len();
+        LayersFrom { count: self.count, of_samples: &self.of_samples, first }
+    }
+}
+
+impl LayersFrom<'_> {
+    /// The layer of each sample.
+    #[inline(always)]
+    fn each(self) -> impl Iterator<Item = usize> {
+        let mut next = self.first;
+        std::iter::from_fn(move || {
+            let layer = self.of_samples[next];
+            next = if next + 1 == self.of_samples.len() { 0 } else { next + 1 };
+            Some(layer)
+        })
     }
 }
 
@@ -206,6 +265,7 @@ impl Axis {
 struct Count<'a> {
     axis: &'a Axis,
     dims: usize,
+    layers: LayersFrom<'a>,
     points: &'a [f32],
     counts: &'a mut [i64],
 }
@@ -215,8 +275,9 @@ impl Vectorized for Count<'_> {
 
     #[inline(always)]
     fn run<I: Isa>(self, _: I) {
-        for point in self.points.chunks_exact(self.dims) {
-            self.counts[(self.axis.place(point) as usize).min(BINS - 1)] += 1;
+        for (point, layer) in self.points.chunks_exact(self.dims).zip(self.layers.each()) {
+            let bin = (self.axis.place(point) as usize).min(BINS - 1);
+            self.counts[layer * BINS + bin] += 1;
         }
     }
 }
@@ -224,8 +285,10 @@ impl Vectorized for Count<'_> {
 /// Moves points along all axes at once.
 struct Move<'a> {
     axes: &'a [Axis],
+    /// For each axis, the displacements of each layer one after the other.
     maps: &'a [Vec<f32>],
     dims: usize,
+    layers: LayersFrom<'a>,
     points: &'a mut [f32],
 }
 
@@ -234,11 +297,12 @@ impl Vectorized for Move<'_> {
 
     #[inline(always)]
     fn run<I: Isa>(self, _: I) {
-        for point in self.points.chunks_exact_mut(self.dims) {
+        for (point, layer) in self.points.chunks_exact_mut(self.dims).zip(self.layers.each()) {
             let mut moved = [0.0_f32; MAX_DIMS];
             let moved = &mut moved[..self.dims];
             moved.copy_from_slice(point);
             for (axis, map) in self.axes.iter().zip(self.maps) {
+                let map = &map[layer * (BINS + 1)..][..BINS + 1];
                 let place = axis.place(point);
                 let bin = (place as usize).min(BINS - 1);
                 let f = place - bin as f32;
@@ -277,12 +341,24 @@ mod tests {
     }
 
     fn warp_words(words: &[f32], dims: usize, options: WarpOptions, simd: Simd) -> Samples {
-        let shape = TileShape::new(words.len() / dims, 1, 1, 1, dims).unwrap();
+        warp_layers(words, dims, options, std::slice::from_ref(&(0..1)), simd)
+    }
+
+    fn warp_layers(
+        words: &[f32],
+        dims: usize,
+        options: WarpOptions,
+        layers: &[Range<usize>],
+        simd: Simd,
+    ) -> Samples {
+        let spp = layers.last().map_or(1, |layer| layer.end);
+        let shape = TileShape::new(words.len() / dims / spp, 1, 1, spp, dims).unwrap();
         let partition = Partition::new(shape, Reach::default());
         let plan = StoragePlan::new(&partition, Region::whole(shape), Parallelism::threads());
+        let plan = plan.with_layers(layers.len());
         let (worker, mut storage) = plan.private().unwrap();
         storage.tile_mut(shape).copy_from_slice(words);
-        let storage = warp(&worker, storage, shape, options, 3, simd);
+        let storage = warp(&worker, storage, (shape, layers), options, 3, simd);
         let tile = storage.into_tile(options.all_frames(dims));
         Samples { words: tile.slice()[..words.len()].to_vec() }
     }
@@ -318,6 +394,26 @@ mod tests {
                 let most = [0.01, 0.03, 0.045][dims - 1];
                 assert!(before > 0.15 && after < most, "{dims}: {before} -> {after}");
             }
+        }
+    }
+
+    /// Samples of a pixel that lean to different sides: together they are far more even than apart.
+    #[test]
+    fn every_layer_becomes_uniform() {
+        let points = even(1 << 16, 2);
+        let bend = |(i, x): (usize, &f64)| x.powf(if i % 6 < 2 { 1.3 } else { 0.85 });
+        let words: Vec<f32> = points.iter().enumerate().map(bend).map(|x| x as f32).collect();
+        let words = &words[..words.len() / 6 * 6];
+        let layers = [0..1, 1..3];
+        let samples = warp_layers(words, 2, OPTIONS, &layers, Simd::detect());
+        for layer in layers {
+            let of_layer = |words: &[f32]| {
+                let pixels = words.chunks_exact(6);
+                let words = pixels.flat_map(|pixel| &pixel[2 * layer.start..2 * layer.end]);
+                unevenness(&Samples { words: words.copied().collect() }, 2)
+            };
+            let (before, after) = (of_layer(words), of_layer(&samples.words));
+            assert!(before > 0.15 && after < 0.03, "{layer:?}: {before} -> {after}");
         }
     }
 

@@ -47,9 +47,14 @@ impl Case {
     /// A tile of white noise with the kernel of a text.
     pub fn of(shape: TileShape, kernel: &str, draw: DrawOptions, seed: u64) -> Self {
         let kernel = kernel.parse::<KernelSpec>().unwrap().resolve(shape).unwrap();
-        let classes = kernel.classes().iter().map(|class| (class.weight, &class.taps));
         let tile = Baseline::White.tile(shape, seed);
-        Self { tile, levels: LevelSets::new(classes), draw, seed, step: seed as u32 % 7 }
+        Self {
+            tile,
+            levels: LevelSets::of(&kernel, shape.spp()),
+            draw,
+            seed,
+            step: seed as u32 % 7,
+        }
     }
 
     fn draws(&self) -> Draws {
@@ -81,6 +86,7 @@ impl Case {
                     pixel: IVec3::new(x as i32, y as i32, draw.t as i32),
                     set: draw.set as usize,
                     taps: draw.taps as usize,
+                    samples: draw.samples as usize,
                     directions: directions.to_vec(),
                 });
             }
@@ -97,7 +103,7 @@ impl Case {
             .flat_map(|&offset| {
                 let place = (draw.pixel + offset).rem_euclid(size).as_usizevec3();
                 let pixel = shape.pixel(place.x, place.y, place.z);
-                (0..shape.spp()).map(move |s| pixel * shape.spp() + s)
+                (0..draw.samples).map(move |s| pixel * shape.spp() + s)
             })
             .collect()
     }
@@ -275,7 +281,7 @@ fn compare(case: &Case) -> Result<(), TestCaseError> {
 }
 
 /// Kernels of every kind with the smallest tile that they fit.
-const KERNELS: [(&str, [usize; 3]); 9] = [
+const KERNELS: [(&str, [usize; 3]); 11] = [
     ("gaussian(1.2) * fovvideovdp(60) @ 5x5x8", [5, 5, 8]),
     ("gaussian(2.1) * ema(0.3) @ 7x7x4", [7, 7, 4]),
     ("gaussian_t(1) * gaussian(0.7) @ 3x3x5", [3, 3, 5]),
@@ -285,6 +291,8 @@ const KERNELS: [(&str, [usize; 3]); 9] = [
     ("column", [1, 1, 1]),
     ("0.5: box(3) + 2: frame", [1, 1, 3]),
     ("0.9: gaussian(1) * fovvideovdp(60) @ 3x3x15 + 0.1: column", [3, 3, 15]),
+    ("gaussian(1.2) * fovvideovdp(60) @ 5x5x8 of 1..", [5, 5, 8]),
+    ("gaussian(1) * box(3) * every(2) @ 3x3x3 of 1 + 0.2: column of 1..", [3, 3, 5]),
 ];
 
 /// Any of the kernels on a tile at most a bit larger than it must be.
@@ -443,7 +451,7 @@ fn the_objective_of_the_fast_gradient_is_half_of_the_plain_one_per_sample() {
         let w2 = |draw: &ReferenceDraw| {
             let half_sum =
                 reference::objective(&case.tile, &case.levels, std::slice::from_ref(draw));
-            2.0 * half_sum / (draw.taps * spp) as f64
+            2.0 * half_sum / (draw.taps * draw.samples) as f64
         };
         let expected: f64 = case.reference_draws().iter().map(w2).sum();
         assert!((found / expected - 1.0).abs() < 1e-3, "{dims}: {found} {expected}");

@@ -1,7 +1,7 @@
 //! Scores of tiles whose scores are known without measuring them.
 
 use glam::IVec3;
-use perceptile::kernel::{KernelTaps, Tap};
+use perceptile::kernel::{KernelSpec, KernelTaps, Tap};
 use perceptile::metric::{Baseline, Class, Domain, ScoreOptions, Scorer, Scores, spectra};
 use perceptile::tile::{Tile, TileShape};
 use proptest::prelude::*;
@@ -178,6 +178,26 @@ fn a_kernel_of_one_pixel_sees_all_power_of_a_spectrum() {
 }
 
 /// The tile moved by `(dx, dy, dt)` with wrapping.
+/// Behind a filter that sees every third frame, the power of a tile's error is the mean over the
+/// phases behind the filter itself.
+#[test]
+fn phases_score_what_the_tile_scores_behind_every_so_many_frames() {
+    let tile = Baseline::White.tile(TileShape::new(12, 10, 12, 2, 2).unwrap(), 5);
+    let score = |tile: &Tile, kernel: &str| {
+        let kernel = kernel.parse::<KernelSpec>().unwrap().resolve(tile.shape()).unwrap();
+        let options = ScoreOptions { set: 3, integrands: 8 };
+        Scores::of(tile, &kernel.classes()[0].taps, options).unwrap()
+    };
+    let whole = score(&tile, "gaussian(1) * fovvideovdp(24) * every(3) @ 3x3x4");
+    let phases = [0, 1, 2]
+        .map(|phase| score(&tile.every(3, phase), "gaussian(1) * fovvideovdp(24) @ 3x3x4"));
+    for class in Class::ALL {
+        let mean = phases.iter().map(|scores| perceived(scores, class)).sum::<f64>() / 3.0;
+        let whole = perceived(&whole, class);
+        assert!((whole / mean - 1.0).abs() < 1e-5, "{class}: {whole}, not {mean}");
+    }
+}
+
 fn moved(tile: &Tile, by: [usize; 3]) -> Tile {
     let shape = tile.shape();
     let mut samples = Vec::with_capacity(shape.coordinates());

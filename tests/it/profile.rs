@@ -111,8 +111,7 @@ fn subject() -> Subject {
 /// and y.
 fn pixels(subject: &Subject, step: u32, mut visit: impl FnMut(i64, i64, i64, usize)) {
     let kernel = subject.options().kernel.resolve(subject.shape()).unwrap();
-    let classes = kernel.classes().iter().map(|class| (class.weight, &class.taps));
-    let levels = LevelSets::new(classes);
+    let levels = LevelSets::of(&kernel, subject.shape().spp());
     let mut number = 0;
     for cell in 0..subject.partition().cells() {
         let place = subject.partition().cell(cell);

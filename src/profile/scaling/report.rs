@@ -7,9 +7,9 @@ use serde::Serialize;
 
 use super::costs::{Check, CostsError, Measured};
 use super::{Bottleneck, Model, Network, Prediction, RankMemory, largest};
+use crate::draw::LevelSets;
 use crate::gradient::simd::Simd;
 use crate::profile::machine::Machine;
-use crate::run::plan::levels;
 use crate::solver::{Options, Preset};
 use crate::tile::{Partition, TileShape};
 
@@ -164,7 +164,7 @@ impl TileScaling {
         let shape = options.shape;
         let row = |(ranks, shape): (usize, TileShape)| -> Result<_, CostsError> {
             let kernel = options.kernel.resolve(shape)?.folded(shape.frames())?;
-            let partition = Partition::new(shape, levels(&kernel).reach());
+            let partition = Partition::new(shape, LevelSets::of(&kernel, shape.spp()).reach());
             let load = measured.load(in_proportion(options, shape));
             let extrapolated = ranks.saturating_mul(threads) > cores;
             // More ranks than cells are where a table ends, and no error.
