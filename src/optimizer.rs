@@ -325,7 +325,7 @@ mod tests {
         let quick = || Optimizer::new(Preset::Quick);
         let polish = |optimizer: Optimizer| optimizer.options().unwrap().polish.steps;
         assert_eq!(polish(quick()), 30);
-        assert_eq!([polish(quick().spp(2)), polish(quick().dims(3))], [0, 0]);
+        assert_eq!([polish(quick().spp(2)), polish(quick().dims(3))], [15, 0]);
         assert_eq!([polish(quick().spp(2).polish(4)), polish(quick().polish(4).dims(1))], [4, 4]);
         let own = Preset::Quick.options();
         assert_eq!(polish(Optimizer::from(own).spp(2)), 30);

@@ -18,5 +18,6 @@ pub fn purpose(preset: Preset) -> &'static str {
         Preset::Paper => "The paper's job: 128x128x30, 10000 steps of 4096 draws",
         Preset::PaperTaa => "The paper's job for frames accumulated with alpha 0.2",
         Preset::Salaun => "Spatial blue noise, every frame its own",
+        Preset::Progressive => "16 samples per pixel, of which the first so many are good alone",
     }
 }

@@ -54,15 +54,15 @@ fn table(presets: &[Map<String, Value>]) -> String {
         number => number.to_string(),
     };
     let heading = COLUMNS.map(|(name, width)| format!("{name:>width$}")).concat();
-    let mut table = format!("{:<10}{heading}  what for\n", "preset");
+    let mut table = format!("{:<12}{heading}  what for\n", "preset");
     for preset in presets {
         let cells = COLUMNS.map(|(name, width)| format!("{:>width$}", text(preset, name)));
         let [name, purpose] = ["preset", "purpose"].map(|name| text(preset, name));
-        table += &format!("{name:<10}{}  {purpose}\n", cells.concat());
+        table += &format!("{name:<12}{}  {purpose}\n", cells.concat());
     }
-    table += "\npreset    kernel\n";
+    table += "\npreset      kernel\n";
     for preset in presets {
-        table += &format!("{:<10}{}\n", text(preset, "preset"), text(preset, "kernel"));
+        table += &format!("{:<12}{}\n", text(preset, "preset"), text(preset, "kernel"));
     }
     table
 }

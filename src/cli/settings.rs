@@ -106,7 +106,7 @@ settings! {
     #[arg(value_name = "WxHxF", help_heading = "Tile")]
     tile: TileSize,
 
-    /// Samples per pixel, 1 to 64 [default: 1]
+    /// Samples per pixel, 1 to 64 [default: 1; progressive 16]
     #[arg(value_name = "N", help_heading = "Tile", value_parser = whole::<usize>)]
     spp: usize,
 
@@ -118,7 +118,8 @@ settings! {
     #[arg(value_name = "N", help_heading = "Tile", value_parser = whole::<u64>)]
     seed: u64 => seed,
 
-    /// `random`, `stratified`, or a tile to start from [default: random]
+    /// `random`, `stratified`, `nested` (a tile of one sample per pixel is made first), or a tile to
+    /// start from [default: random; progressive nested]
     #[arg(value_name = "START", help_heading = "Tile")]
     start: String,
 
@@ -128,7 +129,7 @@ settings! {
     kernel: KernelSpec => kernel,
 
     /// Steps of stochastic gradient descent; fewer than the preset's shorten the polish as well
-    /// [default: 16000; quick 500; paper 10000; paper-taa 10000; salaun 3000]
+    /// [default: 16000; quick 500; paper 10000; paper-taa 10000; salaun 3000; progressive 10000]
     #[arg(value_name = "N", help_heading = "Descent (for experts)", value_parser = whole::<u32>)]
     steps: u32 => steps,
 
@@ -136,7 +137,8 @@ settings! {
     #[arg(value_name = "STEPS", help_heading = "Descent (for experts)", value_parser = whole::<u32>)]
     stop_after: u32 => stop_after,
 
-    /// Random draws per step (each: a pixel, a threshold, directions) [default: 4096]
+    /// Random draws per step (each: a pixel, a threshold, directions); without it, as many for each pixel
+    /// as in the preset's own tile [default: 4096]
     #[arg(value_name = "N", help_heading = "Descent (for experts)", value_parser = whole::<usize>)]
     draws: usize => draw.draws,
 
@@ -156,7 +158,7 @@ settings! {
     #[arg(value_name = "SHARE", help_heading = "Descent (for experts)")]
     pair_share: f64 => draw.pair_share,
 
-    /// Adam's step size at the start, in units of the cube [default: 0.02]
+    /// Adam's step size at the start, in units of the cube [default: 0.02; progressive 0.004]
     #[arg(help_heading = "Descent (for experts)")]
     rate: f64 => adam.rate,
 
@@ -176,8 +178,8 @@ settings! {
     #[arg(help_heading = "Descent (for experts)")]
     epsilon: f64 => adam.epsilon,
 
-    /// Full-batch steps after the descent; above one sample per pixel and beside two dimensions they
-    /// are 0 unless given here [default: 150; quick 30; paper 80; paper-taa 80; salaun 50]
+    /// Full-batch steps after the descent; fewer with up to 4 samples per pixel, and 0 with more or beside
+    /// two dimensions [default: 150; quick 30; paper 80; paper-taa 80; salaun 50; progressive 0]
     #[arg(value_name = "STEPS", help_heading = "Polish (for experts)", value_parser = whole::<u32>)]
     polish: u32 => polish.steps,
 
@@ -230,6 +232,7 @@ impl Settings {
             None => (options.start, None),
             Some("random") => (Start::Random, None),
             Some("stratified") => (Start::Stratified, None),
+            Some("nested") => (Start::Nested, None),
             Some(path) => (Start::Tile, Some(PathBuf::from(path))),
         };
         options.start = start;
@@ -243,6 +246,7 @@ impl Settings {
         let start = match options.start {
             Start::Random => "random".into(),
             Start::Stratified => "stratified".into(),
+            Start::Nested => "nested".into(),
             Start::Tile => self.start.clone().unwrap_or_default(),
         };
         let mut all = Self::of(options);

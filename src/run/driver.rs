@@ -7,6 +7,7 @@
 use std::cell::Cell;
 use std::io;
 use std::sync::Arc;
+use std::time::Instant;
 
 use perceptile_cluster::communicator::Communicator;
 use perceptile_cluster::shared::Section;
@@ -127,7 +128,13 @@ pub fn run(
     observer: &mut dyn Observer,
     checkpointer: Option<&mut Checkpointer>,
 ) -> Result<Output, RunError> {
-    let mut watch = Watch::new(plan, observer, checkpointer);
+    let communicator = match &parallel {
+        Parallel::Ranks(communicator) => Some(&**communicator),
+        _ => None,
+    };
+    let since = Instant::now();
+    let start = start.made(plan, simd, communicator, observer)?;
+    let mut watch = Watch::new(since, plan, observer, checkpointer);
     match parallel {
         Parallel::Threads => drive(plan, threads::Threads::start(plan, start, simd)?, watch),
         #[cfg(unix)]

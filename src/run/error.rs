@@ -21,6 +21,9 @@ pub enum RunError {
     /// The checkpoint that it was to start from cannot be read.
     #[error(transparent)]
     Start(#[from] FolderError),
+    /// The run was stopped while its start was made, so there is nothing to keep.
+    #[error("the run was stopped while its start was made, so there is no tile yet")]
+    Stopped,
     /// Another rank failed, which says how.
     #[error("another rank failed")]
     Elsewhere,

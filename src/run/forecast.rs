@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 use crate::gradient::simd::Simd;
 use crate::run::driver::{self, Parallel};
 use crate::run::error::RunError;
+use crate::run::nested;
 use crate::run::observer::{Observer, Progress};
 use crate::run::plan::{Plan, Position};
 use crate::run::start::InitialState;
@@ -39,10 +40,13 @@ impl Forecast {
         timed.parallelism = Parallelism::threads();
         timed.from = Position::START;
         timed.options.stop_after = None;
-        if options.start == Start::Tile {
+        let mut seconds = Vec::new();
+        if options.start == Start::Nested && plan.from == Position::START {
+            seconds.push((Phase::Start, Self::of(&nested::first_plan(plan)?, simd)?.total()));
+        }
+        if matches!(options.start, Start::Tile | Start::Nested) {
             timed.options.start = Start::Random;
         }
-        let mut seconds = Vec::new();
         let mut foresee = |phase: Phase, steps: u32, of_one: Option<f64>| {
             let Parallelism { ranks, .. } = plan.parallelism;
             let shares = (ranks * plan.parallelism.processes()) as f64;

@@ -21,6 +21,7 @@ pub mod folder;
 pub mod forecast;
 pub mod gather;
 pub mod memory;
+pub mod nested;
 pub mod observer;
 pub mod output;
 pub mod plan;

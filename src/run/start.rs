@@ -4,11 +4,15 @@
 //! and passed on in pieces.
 
 use perceptile_cluster::Worker;
+use perceptile_cluster::communicator::Communicator;
 
 use crate::format::numbers::ArraySink;
+use crate::gradient::simd::Simd;
 use crate::run::error::RunError;
 use crate::run::folder::{Arrays, FolderError};
 use crate::run::gather::{self, Scatter};
+use crate::run::nested;
+use crate::run::observer::Observer;
 use crate::run::plan::Plan;
 use crate::solver::{Options, OptionsError, Recorded, Samples, Start, Storage, rounds, start};
 use crate::tile::{Partition, Region, Tile};
@@ -28,6 +32,8 @@ enum Source {
     Seed(fn(&Partition, Region, u64) -> Samples),
     /// A tile was given.
     Given(Samples),
+    /// A tile of one sample per pixel is made first, by the root ([`crate::run::nested`]).
+    Nested,
     /// They lie in a checkpoint, and Adam's moments with them.
     Checkpoint(Arrays),
     /// The root has them.
@@ -43,6 +49,10 @@ impl InitialState {
         let shape = plan.options.shape;
         let source = match (Self::from_seed(&plan.options), start) {
             (Some(source), None) => source,
+            (None, None) if plan.options.start == Start::Nested => Source::Nested,
+            (None, Some(_)) if plan.options.start == Start::Nested => {
+                return Err(OptionsError::StartMissing);
+            }
             (None, Some(tile)) if tile.shape() == shape => Source::Given(Samples::from_tile(tile)),
             (None, Some(tile)) => {
                 return Err(OptionsError::Start { expected: shape, found: tile.shape() });
@@ -55,15 +65,43 @@ impl InitialState {
     /// What a rank starts from that is not the root: it makes its samples from the seed, or gets
     /// them from the root.
     pub fn beside_root(plan: &Plan, from_checkpoint: bool) -> Self {
-        let seed = Self::from_seed(&plan.options).filter(|_| !from_checkpoint);
-        Self { source: seed.unwrap_or(Source::AtRoot), record: Recorded::default() }
+        let source = match plan.options.start {
+            _ if from_checkpoint => Source::AtRoot,
+            Start::Nested => Source::Nested,
+            _ => Self::from_seed(&plan.options).unwrap_or(Source::AtRoot),
+        };
+        Self { source, record: Recorded::default() }
+    }
+
+    /// Makes the first sample of every pixel at the root, if the start is nested, and all others of it.
+    ///
+    /// # Errors
+    /// As for a run; on the other ranks, if it failed at the root.
+    pub(super) fn made(
+        self,
+        plan: &Plan,
+        simd: Simd,
+        communicator: Option<&dyn Communicator>,
+        observer: &mut dyn Observer,
+    ) -> Result<Self, RunError> {
+        let Self { source: Source::Nested, record } = self else { return Ok(self) };
+        let is_root = communicator.is_none_or(|communicator| communicator.rank() == 0);
+        let made = if is_root {
+            nested::samples(plan, simd, observer).map(Source::Given)
+        } else {
+            Ok(Source::AtRoot)
+        };
+        let mut failed = [i64::from(made.is_err())];
+        communicator.inspect(|communicator| communicator.max(&mut failed));
+        let source = made?;
+        if failed == [0] { Ok(Self { source, record }) } else { Err(RunError::Elsewhere) }
     }
 
     fn from_seed(options: &Options) -> Option<Source> {
         match options.start {
             Start::Random => Some(Source::Seed(start::random)),
             Start::Stratified => Some(Source::Seed(start::stratified)),
-            Start::Tile => None,
+            Start::Tile | Start::Nested => None,
         }
     }
 
@@ -87,7 +125,7 @@ impl InitialState {
     /// A checkpoint that cannot be read again.
     pub fn read(&mut self, plan: &Plan, sink: &mut ArraySink<'_>) -> Result<(), FolderError> {
         match &mut self.source {
-            Source::Seed(_) | Source::AtRoot => (),
+            Source::Seed(_) | Source::Nested | Source::AtRoot => (),
             Source::Given(samples) => sink(0, &samples.words),
             Source::Checkpoint(arrays) => arrays.read(&mut |array, piece| {
                 if array == 0 || plan.from.step > 0 {

@@ -34,13 +34,14 @@ pub struct Watch<'a> {
 }
 
 impl<'a> Watch<'a> {
-    /// Watches a run that starts now.
+    /// Watches a run that began at some time.
     pub fn new(
+        since: Instant,
         plan: &'a Plan,
         observer: &'a mut dyn Observer,
         checkpointer: Option<&'a mut Checkpointer>,
     ) -> Self {
-        let (seconds, since) = (Vec::new(), Instant::now());
+        let seconds = Vec::new();
         Self { plan, observer, checkpointer, reason: None, seconds, phase: Phase::Start, since }
     }
 

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::draw::DrawOptions;
-use crate::kernel::{Kernel, KernelError, KernelSpec, SpecProblem, Viewing};
+use crate::kernel::{Kernel, KernelClass, KernelError, KernelSpec, SpecProblem, Viewing};
 use crate::solver::adam::{AdamOptions, MAX_BETA};
 use crate::solver::polish::PolishOptions;
 use crate::solver::warp::WarpOptions;
@@ -18,6 +18,9 @@ pub enum Start {
     Random,
     /// Coordinates stratified over each cell of the tile.
     Stratified,
+    /// A tile of one sample per pixel that is made first, and that tile shifted for each further
+    /// sample: the start of a sequence.
+    Nested,
     /// A tile that is given, for example a pre-optimized one (section 5, "Optimization cost").
     Tile,
 }
@@ -92,6 +95,14 @@ pub enum OptionsError {
         /// The given tile's shape.
         found: TileShape,
     },
+    /// A class sees more samples of a pixel than there are.
+    #[error("the kernel `{class}` sees more than the {spp} samples that a pixel has")]
+    Prefix {
+        /// Text form of the class.
+        class: String,
+        /// Samples of a pixel.
+        spp: usize,
+    },
     /// More ranks than the tile has cells.
     #[error(transparent)]
     Ranks(#[from] TooManyRanks),
@@ -102,6 +113,10 @@ pub enum OptionsError {
 
 /// Most taps of a kernel in the polish: it then takes a second or two to set up.
 pub const MAX_POLISH_TAPS: usize = 4096;
+
+/// Most samples per pixel with a polish by default: it then takes about as long as a fifth of the
+/// descent.
+const MAX_POLISH_SPP: usize = 4;
 
 /// Ready-made options.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -118,16 +133,19 @@ pub enum Preset {
     PaperTaa,
     /// Spatial blue noise, every frame its own (Salaün et al. 2022).
     Salaun,
+    /// A sequence of 16 samples in every pixel, of which the first so many are good by themselves.
+    Progressive,
 }
 
 impl Preset {
     /// All presets with the names that users type.
-    pub const ALL: [(Self, &str); 5] = [
+    pub const ALL: [(Self, &str); 6] = [
         (Self::Best, "best"),
         (Self::Quick, "quick"),
         (Self::Paper, "paper"),
         (Self::PaperTaa, "paper-taa"),
         (Self::Salaun, "salaun"),
+        (Self::Progressive, "progressive"),
     ];
 
     /// Its options.
@@ -147,6 +165,7 @@ impl Preset {
     /// | polish alone, 200 steps at 0.03 | | .0186 .128 .107 .045 .120 |
     /// | axis weight of the polish, 3,000 steps | 0.2: .0041 .110 .098 .022 .096 | 0.1 (and half the axis share): .0038 .107 .110 .021 .093 |
     /// | spatial share, the defaults, set 3 | none: .0028 .106 .085 .021 .096; single frames, behind gaussian(2.1) alone, .022 .220 .211 .117 .210 | 0.2: .0026 .109 .087 .020 .098; single frames .009 .174 .156 .058 .160 |
+    /// | shares of prefixes, their start | see [`Prefix::shares`](crate::kernel::Prefix::shares) and `run::nested` | |
     /// | column share | 0.1: .0042 .114 .107 .024 .099, residual .10 | 0.05: .0039 .112 .103 .023 .097, residual .16 |
     ///
     /// Warping every so often while optimizing is no better than once at the end. The steps of
@@ -156,6 +175,7 @@ impl Preset {
             Self::Best => ((64, 64, 16), 16_000, 150),
             Self::Quick => ((64, 64, 16), 500, 30),
             Self::Salaun => ((64, 64, 16), 3_000, 50),
+            Self::Progressive => ((64, 64, 16), 10_000, 0),
             Self::Paper | Self::PaperTaa => ((128, 128, 30), 10_000, 80),
         };
         let kernel = match self {
@@ -163,16 +183,20 @@ impl Preset {
             Self::Paper => PERCEPTION_30,
             Self::PaperTaa => PERCEPTION_TAA_30,
             Self::Salaun => "gaussian(2.1) @ 7x7x1",
+            Self::Progressive => PERCEPTION_PREFIXES,
         };
+        let spp = if self == Self::Progressive { 16 } else { 1 };
         let adam =
             AdamOptions { rate: 0.02, final_rate: 0.0, beta1: 0.9, beta2: 0.99, epsilon: 1e-8 };
         let paper = matches!(self, Self::Paper | Self::PaperTaa);
         let (width, height, frames) = size;
+        let progressive = self == Self::Progressive;
+        let rate = if progressive { 0.004 } else { adam.rate };
         Options {
-            shape: TileShape::new(width, height, frames, 1, 2).expect("sizes within the limits"),
+            shape: TileShape::new(width, height, frames, spp, 2).expect("sizes within the limits"),
             kernel: kernel.parse().expect("a kernel of the documented form"),
             seed: 1,
-            start: Start::Random,
+            start: if progressive { Start::Nested } else { Start::Random },
             steps,
             stop_after: None,
             draw: DrawOptions {
@@ -182,7 +206,7 @@ impl Preset {
                 axis_share: 0.1,
                 pair_share: 0.3,
             },
-            adam,
+            adam: AdamOptions { rate, ..adam },
             polish: PolishOptions { steps: polish, axis_weight: 0.15, linear_weight: 1.0, adam },
             warp: WarpOptions { frames: 400, rate: 0.5 },
         }
@@ -196,6 +220,9 @@ impl Preset {
 /// ratios, as `metric` scored before).
 const PERCEPTION: &str =
     "0.84: gaussian(2.1) * fovvideovdp(60) @ 7x7x8 + 0.06: column + 0.1: box(8)";
+/// The same for the first samples of every pixel, however many.
+const PERCEPTION_PREFIXES: &str =
+    "0.84: gaussian(2.1) * fovvideovdp(60) @ 7x7x8 of 1.. + 0.06: column + 0.1: box(8)";
 /// The same for the 30 frames of the paper's tile.
 const PERCEPTION_30: &str =
     "0.84: gaussian(2.1) * fovvideovdp(60) @ 7x7x8 + 0.06: column + 0.1: box(15)";
@@ -204,14 +231,19 @@ const PERCEPTION_TAA_30: &str =
     "0.84: gaussian(2.1) * fovvideovdp(60) * ema(0.2) @ 7x7x15 + 0.06: column + 0.1: box(15)";
 
 impl Options {
-    /// The options for a tile of another shape. Several samples per pixel, and other than two
-    /// dimensions, have no polish: it compares all pairs of samples and of dimensions, which is too
-    /// slow to be a default.
+    /// The options for a tile of another shape: with as many draws for each pixel, so that every
+    /// step does to a sample what it does in the preset's tile.
     pub fn with_shape(mut self, shape: TileShape) -> Self {
+        let draws = self.draw.draws as u128 * shape.pixels() as u128 / self.shape.pixels() as u128;
+        // None at all is a mistake that stays one.
+        let least = u128::from(self.draw.draws > 0);
+        self.draw.draws = draws.clamp(least, 1 << 30) as usize;
         self.shape = shape;
-        if shape.spp() > 1 || shape.dims() != 2 {
-            self.polish.steps = 0;
-        }
+        // It compares all pairs of samples and of dimensions, so its steps cost with their square.
+        self.polish.steps = match shape.spp() {
+            spp if spp <= MAX_POLISH_SPP && shape.dims() == 2 => self.polish.steps / spp as u32,
+            _ => 0,
+        };
         self
     }
 
@@ -243,14 +275,21 @@ impl Options {
         let default = Viewing::default().kernel(self.shape)?;
         let share = (subset(&default)? / subset(&kernel)?).min(1.0);
         self.steps = (f64::from(self.steps) * share).round() as u32;
+        let kernel = kernel.of_samples_like(&self.kernel);
         Ok(Self { kernel, ..self })
     }
 
     /// Checks that a run can do with a kernel, as the tile sees it, what these options ask for.
     ///
     /// # Errors
-    /// A kernel too large for the polish.
+    /// A class that sees more samples of a pixel than there are, and a kernel too large for the
+    /// polish.
     pub fn check_kernel(&self, kernel: &Kernel) -> Result<(), OptionsError> {
+        let spp = self.shape.spp();
+        let fits = |class: &KernelClass| class.prefix.is_none_or(|prefix| prefix.fits(spp));
+        if let Some(class) = kernel.classes().iter().find(|class| !fits(class)) {
+            return Err(OptionsError::Prefix { class: class.text.clone(), spp });
+        }
         let sizes = kernel.classes().iter().map(|class| class.taps.taps().len());
         match sizes.max() {
             Some(taps) if taps > MAX_POLISH_TAPS && self.polish.steps > 0 => {
@@ -317,6 +356,56 @@ mod tests {
         let paper = Preset::Paper.options();
         assert_eq!((paper.steps, paper.draw.draws, paper.draw.directions), (10_000, 4096, 1));
         assert_eq!(paper.shape, TileShape::new(128, 128, 30, 1, 2).unwrap());
+    }
+
+    #[test]
+    fn tiles_of_other_shapes_have_as_many_draws_for_each_pixel() {
+        let of = |size: [usize; 3], spp: usize, dims: usize| {
+            let shape = TileShape::new(size[0], size[1], size[2], spp, dims).unwrap();
+            Preset::Best.options().with_shape(shape)
+        };
+        assert_eq!(of([64, 64, 16], 1, 2), Preset::Best.options());
+        for (size, draws) in
+            [([128, 128, 64], 65_536), ([32, 32, 16], 1024), ([1, 1, 1], 1), ([65, 64, 16], 4160)]
+        {
+            let options = of(size, 1, 2);
+            assert_eq!(
+                (options.draw.draws, options.steps, options.polish.steps),
+                (draws, 16_000, 150)
+            );
+        }
+        let polish = |spp, dims| of([64, 64, 16], spp, dims).polish.steps;
+        assert_eq!([polish(2, 2), polish(4, 2), polish(5, 2), polish(1, 3)], [75, 37, 0, 0]);
+    }
+
+    #[test]
+    fn a_sequence_stays_one_however_it_is_watched() {
+        let viewing = Viewing { fps: 120.0, ..Viewing::default() };
+        for preset in [Preset::Best, Preset::Progressive] {
+            let (before, watched) = (preset.options(), preset.options().watched(viewing).unwrap());
+            let prefixes = |options: &Options| {
+                options.kernel.classes().iter().map(|class| class.prefix).collect::<Vec<_>>()
+            };
+            assert_eq!(prefixes(&watched), prefixes(&before));
+            assert_ne!(watched.kernel, before.kernel);
+        }
+    }
+
+    #[test]
+    fn classes_see_no_more_samples_than_there_are() {
+        let mut options = Preset::Progressive.options();
+        let check = |options: &Options| {
+            options.check_kernel(&options.kernel.resolve(options.shape).unwrap())
+        };
+        assert_eq!(check(&options), Ok(()));
+        for (kernel, fits) in
+            [("none of 16", true), ("none of 17", false), ("none of 2..17", false)]
+        {
+            options.kernel = kernel.parse().unwrap();
+            assert_eq!(check(&options).is_ok(), fits, "{kernel}");
+        }
+        let message = "the kernel `none of 2..17` sees more than the 16 samples that a pixel has";
+        assert_eq!(check(&options).unwrap_err().to_string(), message);
     }
 
     #[test]

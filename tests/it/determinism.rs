@@ -15,6 +15,10 @@ use rayon::ThreadPoolBuilder;
 
 const PERCEPTION: &str = "0.9: gaussian(2.1) * fovvideovdp(60) @ 7x7x8 + 0.1: column";
 
+/// Prefixes of every pixel's samples, and frames that are seen now and then.
+const SEQUENCE: &str =
+    "0.8: gaussian(1) * box(3) * every(2) @ 5x5x3 of 1.. + 0.1: column of 2 + 0.1: box(4)";
+
 /// A short run in which every option is said.
 pub fn options(
     [width, height, frames, spp, dims]: [usize; 5],
@@ -56,6 +60,7 @@ fn threads_and_instruction_sets_leave_no_trace() {
         ([41, 19, 3, 2, 1], "gaussian(1) * gaussian_t(0.7) @ 5x5x3", Start::Random, 6, 2),
         ([70, 18, 2, 1, 6], "0.5: gaussian(2) @ 6x7x1 + 0.5: box(2)", Start::Random, 6, 0),
         ([32, 32, 2, 1, 2], "0.8: none + 0.2: frame", Start::Stratified, 4, 0),
+        ([19, 17, 8, 4, 2], SEQUENCE, Start::Nested, 6, 2),
     ] {
         let options = Options { start, ..options(shape, kernel, steps, polish) };
         let run = |threads: usize, simd: Simd| {

@@ -76,6 +76,8 @@ fn workers_and_threads_leave_no_trace() {
         "--tile 3x2x1 --kernel none --polish 2 --start stratified",
         "--tile 1x1x1 --kernel none --polish 2 --start random",
         "--tile 2x9x5 --spp 2 --kernel column --polish 2",
+        // Sequences, whose start is made first.
+        "--tile 21x19x8 --spp 3 --preset progressive --polish 2",
         // Phases that are left out.
         "--tile 19x17x4 --kernel gaussian(1)@3x3x1 --polish 0 --warp 0",
         "--tile 19x17x4 --kernel gaussian(1)@3x3x1 --polish 4 --steps 0",
@@ -90,7 +92,7 @@ fn workers_and_threads_leave_no_trace() {
         "--tile 27x18x4 --kernel gaussian(1)@3x3x1 --polish 3 --stop-after 99",
     ] {
         // What is said last counts, so cases may say something else.
-        let (tile, rest) = case.split_once(" --kernel").unwrap();
+        let (tile, rest) = case.split_once(" --").unwrap();
         let steps = if rest.contains("--steps") { "" } else { "--steps 8" };
         let warp = if rest.contains("--warp") { "" } else { "--warp 9" };
         crews_make_one_tile(&format!("{case} {steps} {warp} --draws 500 --directions 2"));

@@ -180,7 +180,7 @@ mod tests {
     use super::*;
     use crate::run::driver::{self, Parallel};
     use crate::run::observer::Unobserved;
-    use crate::solver::{Options, Parallelism, Preset};
+    use crate::solver::{Options, Parallelism, Preset, Start};
     use crate::tile::TileShape;
     use perceptile_cluster::communicator::InProcess;
     use rayon::ThreadPoolBuilder;
@@ -230,12 +230,21 @@ mod tests {
             // Kernels that see all around small tiles, and back to their own region.
             ([40, 36, 3], 1, 2, FAR),
             ([16, 80, 2], 1, 1, "gaussian(1) * ema(0.5) @ 3x3x2"),
+            (
+                [33, 34, 4],
+                3,
+                2,
+                "0.8: gaussian(1) * box(2) * every(2) @ 5x5x2 of 1.. + 0.2: column",
+            ),
         ] {
             let shape = TileShape::new(size[0], size[1], size[2], spp, dims).unwrap();
             let kernel = kernel.parse().unwrap();
             let mut options = Options { shape, kernel, ..Preset::Quick.options() };
             (options.steps, options.draw.draws) = (12, 300);
             (options.polish.steps, options.warp.frames) = (4, 5);
+            if options.kernel.classes()[0].prefix.is_some() {
+                options.start = Start::Nested;
+            }
             let plan = Plan::new(&options, Parallelism::threads()).unwrap();
             let cells = plan.partition().cells();
             let (tile, _) =

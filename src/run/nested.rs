@@ -1,0 +1,102 @@
+//! The start of a sequence: a tile of one sample per pixel, made first, and for every further sample
+//! that tile shifted around the cube.
+//!
+//! One sample per pixel costs a fraction of many, so the first sample is at its best soon; from there
+//! the descent of all has to go a short way only, in small steps. A shift by a step of an additive
+//! recurrence (the generalised golden ratio, Roberts 2018) leaves each further sample as good by
+//! itself, and spreads the samples of a pixel. At 32×32×16 and 16 samples, 3,000 steps from such a
+//! start scored as 12,000 from random samples did (edges of the first 1, 4 and 16 samples: .086 .063
+//! .043 against .090 .060 .041).
+
+use crate::gradient::simd::Simd;
+use crate::run::driver::{self, Parallel};
+use crate::run::error::RunError;
+use crate::run::observer::{Observer, Progress};
+use crate::run::plan::Plan;
+use crate::run::start::InitialState;
+use crate::solver::{Options, Parallelism, Phase, Preset, Samples, StopReason};
+use crate::tile::{Tile, TileShape, clamp_coordinate};
+
+/// The plan of the tile of one sample per pixel that a plan's start is made of: by the threads of
+/// this process, with the steps of the default tile, or as many less as the plan's are less than its
+/// preset's.
+///
+/// # Errors
+/// Options that cannot be run.
+pub fn first_plan(plan: &Plan) -> Result<Plan, RunError> {
+    let Options { shape, ref kernel, seed, draw, steps, .. } = plan.options;
+    let (all, best) = (Preset::Progressive.options().steps, Preset::Best.options());
+    let share = u64::from(best.steps) * u64::from(steps.min(all)) / u64::from(all);
+    let one = TileShape::new(shape.width(), shape.height(), shape.frames(), 1, shape.dims());
+    let one = one.expect("sizes of a larger tile");
+    let best = best.with_shape(one).with_steps(share as u32);
+    let options = Options { kernel: kernel.of_all_samples(), seed, draw, ..best };
+    Ok(Plan::new(&options, Parallelism::threads())?)
+}
+
+/// The samples of a plan whose start is nested, in line order.
+///
+/// # Errors
+/// As for a run, and if the observer stops it.
+pub fn samples(plan: &Plan, simd: Simd, observer: &mut dyn Observer) -> Result<Samples, RunError> {
+    let first = first_plan(plan)?;
+    let start = InitialState::new(&first, None)?;
+    let mut observer = AtStart { observer, of: first.steps_of(Phase::Descent) };
+    let output = driver::run(&first, start, simd, Parallel::Threads, &mut observer, None)?;
+    if output.summary.reason != StopReason::Completed {
+        return Err(RunError::Stopped);
+    }
+    Ok(shifted(&output.tile(), plan.options.shape.spp()))
+}
+
+/// As many samples for each that a tile has: shifted around the cube, each by a step more.
+fn shifted(tile: &Tile, spp: usize) -> Samples {
+    let dims = tile.shape().dims();
+    let steps = recurrence(dims);
+    let words = Samples::from_tile(tile).words;
+    let shift = &|point: &[f32], s: usize| -> Vec<f32> {
+        let coordinate = |(&x, step): (&f32, &f64)| {
+            clamp_coordinate((f64::from(x) + s as f64 * step).fract() as f32)
+        };
+        point.iter().zip(&steps).map(coordinate).collect()
+    };
+    let points = words.chunks_exact(dims);
+    let words = points.flat_map(|point| (0..spp).flat_map(move |s| shift(point, s)));
+    Samples { words: words.collect() }
+}
+
+/// Powers of 1/ρ, with ρ the positive root of x^(d + 1) = x + 1.
+fn recurrence(dims: usize) -> Vec<f64> {
+    let mut root = 2.0_f64;
+    // It converges by a digit or more every few rounds.
+    (0..64).for_each(|_| root = libm::pow(1.0 + root, 1.0 / (dims as f64 + 1.0)));
+    let mut power = 1.0;
+    let next = |_| {
+        power /= root;
+        power
+    };
+    (0..dims).map(next).collect()
+}
+
+/// Hears of the first run as of the start of another.
+struct AtStart<'a> {
+    observer: &'a mut dyn Observer,
+    of: u32,
+}
+
+impl Observer for AtStart<'_> {
+    fn progress(&mut self, progress: Progress) {
+        if progress.phase == Phase::Descent {
+            let phase = Phase::Start;
+            self.observer.progress(Progress { phase, of: self.of, objective: None, ..progress });
+        }
+    }
+
+    fn report(&mut self, message: &str) {
+        self.observer.report(message);
+    }
+
+    fn stop(&self) -> Option<StopReason> {
+        self.observer.stop()
+    }
+}
