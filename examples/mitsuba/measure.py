@@ -78,28 +78,41 @@ def lag(frames, weights, frame):
     return sum(w * frames[frame - j] for j, w in enumerate(weights))
 
 
-def relative(error, reference):
-    """The relative mean squared error, mean of error² / (reference² + 0.01) (paper, section 5)."""
-    return float(np.mean(error**2 / (reference**2 + 0.01)))
+def relative(error, reference, other=None):
+    """The relative mean squared error, mean of error² / (reference² + 0.01) (paper, section 5).
+
+    With the error against another reference, the product of both stands for the square.
+    """
+    other = error if other is None else other
+    return float(np.mean(error * other / (reference**2 + 0.01)))
 
 
 class Seen:
     """A reference as the eye sees it, and the error of others against it."""
 
-    def __init__(self, reference, kernel, first):
-        """Judges from the frame `first` on."""
+    def __init__(self, reference, kernel, first, other=None):
+        """Judges from the frame `first` on.
+
+        With another reference of the same scene, by other samples, the noise of both falls out of
+        the mean error: it is independent of each other, and the mean of its product is zero.
+        """
         self.kernel = kernel
-        blurred = blur(reference, kernel)
         times = range(first, len(reference))
-        self.frames = {t: lag(blurred, kernel.time, t) for t in times}
+
+        def seen(frames):
+            blurred = blur(frames, kernel)
+            return {t: lag(blurred, kernel.time, t) for t in times}
+
+        self.frames = seen(reference)
+        self.others = self.frames if other is None else seen(other)
 
     def error(self, frames):
         """pRelMSE, mean of the frames."""
         blurred = blur(frames, self.kernel)
-        errors = [
-            relative(lag(blurred, self.kernel.time, t) - exact, exact)
-            for t, exact in self.frames.items()
-        ]
+        errors = []
+        for t, exact in self.frames.items():
+            picture, other = lag(blurred, self.kernel.time, t), self.others[t]
+            errors.append(relative(picture - exact, (exact + other) / 2, picture - other))
         return float(np.mean(errors))
 
 

@@ -50,14 +50,14 @@ SHOWN = {
 VIEWS = ("as rendered", "as seen")
 
 
-def parser_of(about):
+def parser_of(about, frames=24, spp=512):
     """The arguments of everything that makes animations and judges them."""
     parser = argparse.ArgumentParser(description=about.splitlines()[0])
     parser.add_argument("out", type=Path, help="folder for everything that is made")
     parser.add_argument("--program", default="perceptile", help="the program `perceptile`")
     parser.add_argument("--size", type=int, default=128, help="pixels along a side [128]")
-    parser.add_argument("--frames", type=int, default=24, help="frames, more than 16 [24]")
-    parser.add_argument("--spp", type=int, default=512, help="samples of a reference [512]")
+    parser.add_argument("--frames", type=int, default=frames, help=f"frames, over 15 [{frames}]")
+    parser.add_argument("--spp", type=int, default=spp, help=f"samples of a reference [{spp}]")
     return parser
 
 
@@ -121,10 +121,10 @@ def make(args, name, folder):
                 select(args, renders, f"{guide}-{end}", renders / f"{guide}.npy", f"0.2..{end}")
 
 
-def behind(name, file):
+def behind(name, file, count=1):
     """The sampler that reads a tile."""
     beyond = {"beyond": "shift"} if SCENES[name].dims > 2 else {}
-    return {"type": "tile", "filename": str(file), "sample_count": 1, **beyond}
+    return {"type": "tile", "filename": str(file), "sample_count": count, **beyond}
 
 
 def animate(args, name, assets, sampler, files):

@@ -15,8 +15,9 @@ from scenes import SCENES
 
 # Samples of a reference that are taken at once.
 PASS = 128
-# Most passes.
+# Most passes, and most frames.
 PASSES = 4096
+TAKE = 65536
 
 
 class ReferenceSampler(tile_sampler.TileSampler):
@@ -94,9 +95,13 @@ def animation(name, assets, samplers, runs, frames, size):
     return pictures
 
 
-def reference(name, assets, frames, size, spp, cache):
-    """Frames of a scene by many samples, kept in the folder `cache`: (frame, y, x, rgb)."""
-    path = cache / f"{name}-{size}-{spp}-{len(frames)}x{frames[-1]}.npy"
+def reference(name, assets, frames, size, spp, cache, take=0):
+    """Frames of a scene by many samples, kept in the folder `cache`: (frame, y, x, rgb).
+
+    Each take has samples of its own.
+    """
+    suffix = f"-{take}" if take else ""
+    path = cache / f"{name}-{size}-{spp}-{len(frames)}x{frames[-1]}{suffix}.npy"
     if path.exists():
         return np.load(path)
     scene = SCENES[name]
@@ -107,7 +112,7 @@ def reference(name, assets, frames, size, spp, cache):
         eye = sensor(scene, frame, size, {"type": "reference", "sample_count": PASS})
         total = np.zeros((size, size, 3))
         for part in range(spp // PASS):
-            seed = frame * PASSES + part
+            seed = (frame + take * TAKE) * PASSES + part
             total += np.array(
                 mi.render(world, sensor=eye, integrator=integrator, seed=seed, spp=PASS)
             )

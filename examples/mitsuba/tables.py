@@ -69,6 +69,12 @@ def ratio(values, base):
     return mean / base_mean, mean / base_mean * np.hypot(half / mean, base_half / base_mean)
 
 
+def paired(values, base):
+    """The ratio of two methods in pairs of runs, and its 95 % interval."""
+    mean, half = interval(np.log(np.array(values) / np.array(base)))
+    return np.exp(mean), np.exp(mean - half), np.exp(mean + half)
+
+
 def ratio_table(title, caption, results, keys, measures, base=WHITE):
     """Rows are scenes and their mean; columns are methods for each measure; the lowest is strong."""
     columns = ["Scene"] + [
@@ -123,14 +129,10 @@ def pair_table(title, caption, results, ours, others, measures):
         row = [SCENES[scene].title]
         for measure in measures:
             best = min(others, key=lambda key: np.mean(result[key][measure]))
-            pairs = np.log(
-                np.array(result[ours[measure]][measure]) / np.array(result[best][measure])
-            )
-            mean, half = interval(pairs)
-            low, high = np.exp(mean - half), np.exp(mean + half)
+            mean, low, high = paired(result[ours[measure]][measure], result[best][measure])
             if high < 1:
                 strong.add((len(rows), len(row) + 1))
-            row += [label(best), f"{np.exp(mean):.3f} ({low:.3f}–{high:.3f})"]
+            row += [label(best), f"{mean:.3f} ({low:.3f}–{high:.3f})"]
         rows.append(row)
     return Table(title, caption, columns, rows, strong)
 
@@ -296,23 +298,8 @@ def plots(results):
         for scene, result in results.items():
             series = []
             for key, entry in result.items():
-                values = np.array(entry[measure])
-                spread = [interval(values[:, i]) for i in range(values.shape[1])]
-                series.append(
-                    {
-                        "name": label(key),
-                        "x": list(range(1, values.shape[1] + 1)),
-                        "y": [mean for mean, _ in spread],
-                        **(
-                            {
-                                "low": [mean * np.exp(-half / mean) for mean, half in spread],
-                                "high": [mean * np.exp(half / mean) for mean, half in spread],
-                            }
-                            if len(values) > 1
-                            else {}
-                        ),
-                    }
-                )
+                points = list(zip(*entry[measure]))
+                series.append(curve(label(key), range(1, len(points) + 1), points))
             yield {
                 "title": f"{title}: {SCENES[scene].title}",
                 "caption": f"{SCENES[scene].title}, {caption}.",
@@ -321,6 +308,16 @@ def plots(results):
                 "log_y": True,
                 "series": series,
             }
+
+
+def curve(name, x, points):
+    """A line of a plot: the means over the runs of each point, and their 95 % intervals."""
+    spread = [interval(runs) for runs in points]
+    line = {"name": name, "x": list(x), "y": [mean for mean, _ in spread]}
+    if len(points[0]) > 1:
+        line["low"] = [mean * np.exp(-half / mean) for mean, half in spread]
+        line["high"] = [mean * np.exp(half / mean) for mean, half in spread]
+    return line
 
 
 def scene_data(setup, results, prefix, text, ours, others):

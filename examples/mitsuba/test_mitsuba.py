@@ -17,9 +17,10 @@ import numpy as np
 
 mi.set_variant("llvm_ad_rgb")
 
+import samplers
 import tile_sampler
 from assets import read_off, tessellate
-from measure import Kernel, blur, interval, lag, relative
+from measure import Kernel, Seen, blur, interval, lag, relative
 from render import film, load
 from scenes import lamp
 from tiles import SIGMA, perception, taa
@@ -109,6 +110,25 @@ class Sampler(unittest.TestCase):
         ]
         self.assertLess(min(distances), 1e-6)
 
+    def test_any_number_of_samples_begins_with_the_first(self):
+        path = str(Path(self.folder.name) / "sequence.npy")
+        tile = np.random.default_rng(3).random((2, 8, 16, 16, 3), np.float32)
+        np.save(path, tile)
+        total = np.cumsum(tile[1], axis=2)
+        y, x = np.mgrid[:20, :24]
+        for spp in (1, 3, 16):
+            image = shown({"filename": path, "sample_count": spp}, 1, spp=spp)
+            np.testing.assert_allclose(image, total[y % 8, x % 16, spp - 1] / spp, atol=1e-6)
+        # Samples after the tile's last are the first ones of another place.
+        image = shown({"filename": path, "sample_count": 24}, 1, spp=24)
+        rest = image * 24 - total[y % 8, x % 16, 15]
+        distances = [
+            np.abs(rest - total[(y + dy) % 8, (x + dx) % 16, 7]).max()
+            for dx, dy in itertools.product(range(16), range(8))
+        ]
+        self.assertLess(min(distances), 1e-5)
+        self.assertGreater(distances[0], 0.1)
+
     def test_integers_are_anywhere_in_their_levels(self):
         path = str(Path(self.folder.name) / "integers.npy")
         for kind, levels in ((np.uint8, 256), (np.uint16, 65536)):
@@ -126,6 +146,51 @@ class Sampler(unittest.TestCase):
             np.save(path, wrong)
             with self.assertRaises(ValueError):
                 tile_sampler.read_tile(path)
+
+
+class Others(unittest.TestCase):
+    """The samplers that tiles are compared with."""
+
+    def points(self, sampler, count, pixels=128):
+        """The numbers of three requests, (request, pixel, sample, 2), after the place in the pixel."""
+        size = {"width": pixels, "height": 1, "sample_count": count}
+        sampler = mi.load_dict({**sampler, **size})
+        sampler.seed(3, pixels * count)
+        np.testing.assert_array_equal(np.array(sampler.next_2d()), 0.5)
+        first, _, last = sampler.next_2d(), sampler.next_1d(), sampler.next_2d()
+        return [np.array(point).T.reshape(pixels, count, 2) for point in (first, last)]
+
+    def test_points_of_sobol_are_stratified_in_every_way(self):
+        for digits in range(7):
+            first, last = self.points({"type": "sobol"}, 2**digits)
+            for points, split in itertools.product((first, last), range(digits + 1)):
+                x, y = (points * [2**split, 2 ** (digits - split)]).astype(int).transpose(2, 0, 1)
+                cells = np.sort(x * 2 ** (digits - split) + y, axis=1)
+                np.testing.assert_array_equal(cells, np.tile(np.arange(2**digits), (128, 1)))
+            # The requests have nothing to do with each other, nor have the pixels.
+            for other in (last, np.roll(first, 1, axis=0)):
+                values = np.stack([first[:, :, 0].ravel(), other[:, :, 0].ravel()])
+                self.assertLess(abs(np.corrcoef(values)[0, 1]), 4 / values.shape[1] ** 0.5)
+
+    def test_points_of_sobol_are_uniform(self):
+        for count in (1, 3, 24):
+            for points in self.points({"type": "sobol"}, count, 4096):
+                self.assertLess(points.max(), 1)
+                self.assertAlmostEqual(points.mean(), 0.5, delta=0.02)
+                self.assertAlmostEqual(points.std(), 12**-0.5, delta=0.01)
+
+    def test_samplers_of_the_renderer_are_themselves_but_for_the_place_in_the_pixel(self):
+        for own in samplers.OWN:
+            for count in filter(lambda count: samplers.suits(own, count), (1, 4, 16)):
+                points = self.points({"type": "centred", "own": own}, count)
+                sampler = mi.load_dict({"type": own, "sample_count": count})
+                sampler.set_samples_per_wavefront(count)
+                sampler.seed(3, 128 * count)
+                first, _, last = sampler.next_2d(), sampler.next_1d(), sampler.next_2d()
+                for point, same in zip((first, last), points):
+                    same = same.reshape(-1, 2).T
+                    np.testing.assert_array_equal(np.array(point), same)
+        self.assertEqual([n for n in (1, 2, 4, 8) if samplers.suits("stratified", n)], [1, 4])
 
 
 class Measures(unittest.TestCase):
@@ -163,6 +228,18 @@ class Measures(unittest.TestCase):
 
     def test_relative_error(self):
         self.assertAlmostEqual(relative(np.full(4, 0.2), np.full(4, 0.3)), 0.04 / 0.1)
+
+    def test_a_second_reference_takes_the_noise_of_the_first_away(self):
+        random = np.random.default_rng(5)
+        exact = np.full((9, 64, 64, 3), 0.5)
+        kernel = Kernel.of(PROGRAM, perception(SIGMA))
+        picture, first, other = (
+            (exact + sigma * random.standard_normal(exact.shape)).astype(np.float32)
+            for sigma in (0.1, 0.1, 0.1)
+        )
+        true = Seen(exact, kernel, 8).error(picture)
+        self.assertGreater(Seen(first, kernel, 8).error(picture), 1.5 * true)
+        self.assertAlmostEqual(Seen(first, kernel, 8, other).error(picture) / true, 1, delta=0.2)
 
     def test_intervals_hold_the_mean_as_often_as_they_say(self):
         random = np.random.default_rng(4)
@@ -265,7 +342,8 @@ class Comparison(unittest.TestCase):
         here = Path(__file__).parent
         with tempfile.TemporaryDirectory() as folder:
             command = [sys.executable, str(here / "posteriori.py"), folder, "--program", PROGRAM]
-            command += ["--scenes", "cornell,path", "--size", "48", "--frames", "18", "--spp", "128"]
+            command += ["--scenes", "cornell,path", "--size", "48", "--frames", "18"]
+            command += ["--spp", "128"]
             subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
             result = json.loads((Path(folder) / "posteriori.json").read_text())
             for scene in ("cornell", "path"):
@@ -276,8 +354,33 @@ class Comparison(unittest.TestCase):
                 self.assertAlmostEqual(error["mean of four"], 0.25, delta=0.05)
                 self.assertLess(error["mean of four, tile"], 0.5 * error["ours"])
                 self.assertLess(error["select-true, tile"], 0.1 * error["ours"])
-            report = [PROGRAM, "report", f"{folder}/report", f"{folder}/tile.npy", "--renders", folder]
+            tile, report = f"{folder}/tile.npy", f"{folder}/report"
+            report = [PROGRAM, "report", report, tile, "--renders", folder]
             subprocess.run(report, check=True, stdout=subprocess.DEVNULL)
+
+    def test_error_over_samples(self):
+        here = Path(__file__).parent
+        with tempfile.TemporaryDirectory() as folder:
+            command = [sys.executable, str(here / "curves.py"), folder, "--program", PROGRAM]
+            command += ["--scenes", "cornell,path", "--size", "48", "--frames", "17", "--spp"]
+            command += ["128", "--runs", "4", "--steps", "600", "--counts", "1,4,24"]
+            subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+            result = json.loads((Path(folder) / "curves.json").read_text())
+            for scene, view in itertools.product(("cornell", "path"), ("animation", "still")):
+                error = {
+                    key: {count: np.mean(row[view]) for count, row in rows.items()}
+                    for key, rows in result[scene].items()
+                }
+                ours, white = error["Perceptile, progressive"], error["white"]
+                self.assertEqual(list(ours), ["1", "4", "24"])
+                for count in ours:
+                    self.assertLess(ours[count], (0.6 if scene == "cornell" else 1) * white[count])
+                self.assertLess(error["Sobol', scrambled after Owen"]["24"], 0.8 * white["24"])
+                self.assertEqual(list(error["stratified (Mitsuba)"]), ["1", "4"])
+            tile, report = f"{folder}/progressive.npy", f"{folder}/report"
+            command = [PROGRAM, "report", report, tile, "--renders", folder, "--integrands", "8"]
+            subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+            self.assertIn("samples per pixel, as a power", Path(report, "index.html").read_text())
 
     def test_levels(self):
         here = Path(__file__).parent

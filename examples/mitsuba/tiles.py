@@ -61,6 +61,7 @@ TILES = {
         "Perceptile, perception × TAA",
         f"--spp 4 --steps 3000 --polish 150 --kernel '{mixture(taa(SIGMA), 'box(8)')}'",
     ),
+    "progressive": ("Perceptile, progressive", "--preset progressive"),
     "scalar": ("Perceptile, one dimension", "--dims 1"),
     "dims8": ("Perceptile, eight dimensions", "--dims 8 --steps 3000"),
 }
