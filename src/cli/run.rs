@@ -11,6 +11,7 @@ use perceptile::format::sidecar::{self, Sidecar};
 use perceptile::metric::{ScoreOptions, Scorer, Scores};
 use perceptile::run::checkpointer::Every;
 use perceptile::run::driver::{self, Output, Parallel};
+use perceptile::run::error::RunError;
 use perceptile::run::forecast::Forecast;
 use perceptile::run::memory;
 use perceptile::run::observer::Observer;
@@ -27,7 +28,7 @@ use super::execution::{self, ExecutionArgs};
 use super::exit::{Failure, Misuse};
 use super::prepared::{Files, Invocation, PreparedRun};
 use super::progress::Terminal;
-use super::stream::print;
+use super::stream::{print, say};
 use super::workers::WorkersArgs;
 use super::{duration, ranks, summary};
 
@@ -113,9 +114,14 @@ impl RunArgs {
         let parallel = self.parallel(&plan, communicator, files.as_ref());
         let checkpointer = files.as_mut().map(|files| &mut files.checkpointer);
         // Workers end with the thread that starts them, which is one of the pool's.
-        let output = pool
-            .install(|| driver::run(&plan, start, simd, parallel, &mut terminal, checkpointer))?;
+        let output =
+            pool.install(|| driver::run(&plan, start, simd, parallel, &mut terminal, checkpointer));
         terminal.clear();
+        if let (Err(error @ RunError::Stopped), Some(code)) = (&output, terminal.received()) {
+            say(format_args!("error: {error}"));
+            return Ok(ExitCode::from(code as u8));
+        }
+        let output = output?;
         let Some(files) = files else {
             output.discard();
             return Ok(ExitCode::SUCCESS);

@@ -96,7 +96,7 @@ pub enum OptionsError {
         found: TileShape,
     },
     /// A class sees more samples of a pixel than there are.
-    #[error("the kernel `{class}` sees more than the {spp} samples that a pixel has")]
+    #[error("the kernel `{class}` sees more samples of a pixel than there are, which is {spp}")]
     Prefix {
         /// Text form of the class.
         class: String,
@@ -404,7 +404,8 @@ mod tests {
             options.kernel = kernel.parse().unwrap();
             assert_eq!(check(&options).is_ok(), fits, "{kernel}");
         }
-        let message = "the kernel `none of 2..17` sees more than the 16 samples that a pixel has";
+        let message =
+            "the kernel `none of 2..17` sees more samples of a pixel than there are, which is 16";
         assert_eq!(check(&options).unwrap_err().to_string(), message);
     }
 

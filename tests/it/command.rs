@@ -573,6 +573,19 @@ fn signals_end_a_run_and_leave_its_tile() {
 }
 
 #[test]
+fn a_sequence_that_is_stopped_at_its_start_leaves_nothing() {
+    let folder = Folder::new();
+    // The tile of one sample that it starts from takes a minute and more.
+    let line = "optimize --preset progressive --tile 64x64x256 --integrands 0 --threads 2";
+    let words: Vec<&str> = line.split(' ').chain(LEASH.split(' ')).collect();
+    let mut run = folder.0.start_as(folder.command(&words));
+    run.until("it listens", |run| caught(run.pid(), &[Signal::INT, Signal::TERM]));
+    run.send(Signal::INT);
+    run.end().failed(130, &["stopped while its start was made"]);
+    assert_eq!(folder.0.names("."), [""; 0]);
+}
+
+#[test]
 fn a_second_signal_ends_a_run_at_once() {
     let folder = Folder::new();
     // The uniformity step that the first signal leads to would take for ever.
