@@ -126,6 +126,8 @@ pub fn run(args: EvaluateArgs) -> Result<(), Failure> {
     args.kernel.check()?;
     let candidates = candidates(&args)?;
     let kernel = args.kernel.choose(&args.tiles[0], &candidates)?;
+    // The tile to compare with is always put first.
+    let against = candidates[0].name.clone();
     let tiles = candidates.len() + args.baselines.len();
     let candidates = args.parts.of(candidates, &args.baselines)?;
     let parts = candidates.len() / tiles;
@@ -155,8 +157,6 @@ pub fn run(args: EvaluateArgs) -> Result<(), Failure> {
         tiles.push(entry);
     }
     progress.finish_and_clear();
-    // The tile to compare with is always put first.
-    let against = tiles[0].name.clone();
     let (kernel, kernel_origin) = (kernel.spec.to_string(), kernel.origin);
     let report =
         Evaluation { kernel, kernel_origin, kernel_frames, options, against, parts, tiles };

@@ -144,11 +144,10 @@ impl ReportArgs {
         if let Some(renders) = &self.renders {
             flag("renders", renders.display().to_string());
         }
-        words.extend(self.parts.command_line());
-        let mut flag = |name: &str, value: String| words.extend([format!("--{name}"), value]);
         let scores = self.integrands.options();
         flag("integrands", scores.integrands.to_string());
         flag("set", scores.set.to_string());
+        words.extend(self.parts.command_line());
         words.extend(self.source.command_line());
         super::line(words.into_iter())
     }
@@ -188,7 +187,7 @@ mod tests {
         assert_eq!(
             parse(&args).unwrap().command(&kernel),
             "perceptile report OUT 'a b.npy' ./-x --kernel 'gaussian(2.1) * ema(0.1) @ 7x7x8' \
-             --renders r --prefix '1,2' --stride 8 --integrands 256 --set 0 --spp 2"
+             --renders r --integrands 256 --set 0 --prefix '1,2' --stride 8 --spp 2"
         );
     }
 

@@ -148,7 +148,8 @@ impl<'a> Parser<'a> {
         let at = self.skip_blanks();
         let least = self.count()?;
         let mut prefix = Prefix { least, most: Some(least) };
-        if self.text[self.at..].starts_with("..") {
+        let end = self.skip_blanks();
+        if self.text[end..].starts_with("..") {
             self.at += 2;
             let has_end = self.peek().is_some_and(|c| c.is_ascii_digit());
             prefix.most = if has_end { Some(self.count()?) } else { None };
@@ -595,6 +596,20 @@ mod tests {
             assert!(error.to_string().contains(word), "{text}: {error}");
         }
         assert!(error(&vec!["none"; 65].join("+")).to_string().contains("1 to 64"));
+    }
+
+    #[test]
+    fn prefixes_are_written_with_and_without_blanks() {
+        for (text, least, most) in [
+            ("none of 4", 4, Some(4)),
+            ("none of 1..16", 1, Some(16)),
+            ("none of 1 .. 16", 1, Some(16)),
+            ("none of 2..", 2, None),
+            ("none of\t2 .. + column", 2, None),
+        ] {
+            let spec: KernelSpec = text.parse().unwrap();
+            assert_eq!(spec.classes()[0].prefix, Some(Prefix { least, most }), "{text}");
+        }
     }
 
     #[test]

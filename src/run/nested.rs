@@ -100,3 +100,55 @@ impl Observer for AtStart<'_> {
         self.observer.stop()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::run::observer::Unobserved;
+    use crate::solver::Start;
+
+    #[test]
+    fn every_sample_is_the_first_one_shifted_by_a_recurrence() {
+        // The golden ratio and the plastic number.
+        for (dims, steps) in
+            [(1, vec![0.618_033_988_75]), (2, vec![0.754_877_666_2, 0.569_840_290_9])]
+        {
+            let mut options = Preset::Progressive.options();
+            options.shape = TileShape::new(9, 8, 4, 3, dims).unwrap();
+            options.kernel =
+                "0.9: gaussian(1) * box(2) @ 3x3x2 of 1.. + 0.1: column".parse().unwrap();
+            (options.steps, options.draw.draws) = (50, 30);
+            let plan = Plan::new(&options, Parallelism::threads()).unwrap();
+            let simd = Simd::detect();
+            let found = samples(&plan, simd, &mut Unobserved).unwrap().to_tile(options.shape);
+
+            let first = first_plan(&plan).unwrap().options;
+            assert_eq!((first.steps, first.shape.spp(), first.start), (80, 1, Start::Random));
+            let (tile, _) = driver::optimize(&first, None, simd, &mut Unobserved).unwrap();
+            assert_eq!(found.first(1), tile);
+            for (point, x) in found.samples().chunks(3 * dims).zip(tile.samples().chunks(dims)) {
+                for (i, found) in point.iter().enumerate() {
+                    let (s, k) = (i / dims, i % dims);
+                    let expected = (f64::from(x[k]) + s as f64 * steps[k]).fract();
+                    let error = (f64::from(*found) - expected).abs();
+                    assert!(error < 1e-6 || error > 1.0 - 1e-6, "{found}, not {expected}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_stop_while_the_start_is_made_is_an_error() {
+        struct Stopping;
+        impl Observer for Stopping {
+            fn stop(&self) -> Option<StopReason> {
+                Some(StopReason::Time)
+            }
+        }
+        let mut options = Preset::Progressive.options();
+        options.shape = TileShape::new(8, 8, 8, 2, 2).unwrap();
+        let plan = Plan::new(&options, Parallelism::threads()).unwrap();
+        let stopped = samples(&plan, Simd::detect(), &mut Stopping).unwrap_err();
+        assert!(matches!(stopped, RunError::Stopped), "{stopped}");
+    }
+}
