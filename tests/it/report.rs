@@ -216,6 +216,29 @@ fn every_number_is_that_of_evaluate() {
     assert_eq!(left, 0, "the page shows scores that evaluate does not know");
 }
 
+/// Each part is a tile of its own, beside white noise in the shape of the first.
+#[test]
+fn parts_of_a_tile_are_tiles_of_a_report() {
+    let room = Room::new();
+    room.save("a.npy", TileShape::new(8, 8, 8, 3, 2).unwrap(), 1);
+    for (flag, parts, spp, frames) in [
+        (["--prefix", "1,3"], ["a-first-1", "a-first-3"], [1, 3, 1], [8, 8, 8]),
+        (["--stride", "2"], ["a-phase-0-of-2", "a-phase-1-of-2"], [3, 3, 3], [4, 4, 4]),
+    ] {
+        let page = room.report(&[&["out", "a.npy", "--force"][..], &flag].concat());
+        let tiles = data(&page, "viewer-data")["tiles"].as_array().unwrap().clone();
+        let of = |field: &str| tiles.iter().map(|tile| tile[field].clone()).collect::<Vec<_>>();
+        assert_eq!(of("name"), [parts[0], parts[1], "White noise"]);
+        assert_eq!(
+            (of("spp"), of("frames")),
+            (spp.map(Value::from).into(), frames.map(Value::from).into())
+        );
+        assert!(
+            page.contains(&flag.join(" ")) || page.contains(&format!("{} '{}'", flag[0], flag[1]))
+        );
+    }
+}
+
 /// Every number below a value, with its JSON pointer.
 fn walk(value: &Value, pointer: String, into: &mut Vec<(String, f64)>) {
     match value {

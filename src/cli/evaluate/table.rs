@@ -191,6 +191,10 @@ pub(super) mod tests {
     }
 
     fn of(tiles: Vec<ScoredTile>, all: bool) -> String {
+        of_parts(tiles, 1, all)
+    }
+
+    fn of_parts(tiles: Vec<ScoredTile>, parts: usize, all: bool) -> String {
         let against = tiles[0].name.clone();
         let evaluation = Evaluation {
             kernel: "none".into(),
@@ -198,10 +202,30 @@ pub(super) mod tests {
             kernel_frames: 8,
             options: ScoreOptions::default(),
             against,
-            parts: 1,
+            parts,
             tiles,
         };
         table(&evaluation, all)
+    }
+
+    #[test]
+    fn parts_are_compared_with_the_same_part_of_the_first_tile() {
+        let tiles =
+            [("a-first-1", 0.1), ("a-first-2", 0.05), ("b-first-1", 0.2), ("b-first-2", 0.2)];
+        let tiles = || tiles.map(|(name, level)| entry(name, 2, 8, level));
+        let text = of_parts(tiles().into(), 2, false);
+        for (against, quotient, verdict) in [
+            ("÷ a-first-1", "2.00", "a-first-1 has 0.50 of b-first-1's perceived error"),
+            ("÷ a-first-2", "4.00", "a-first-2 has 0.25 of b-first-2's perceived error"),
+        ] {
+            let line =
+                |line: &&str| line.starts_with(against) && line.matches(quotient).count() > 4;
+            assert_eq!(text.lines().filter(line).count(), 1, "{text}");
+            assert!(text.lines().any(|line| line == verdict), "{text}");
+        }
+        // One tile's parts are not compared with each other.
+        let alone = of_parts(tiles()[..2].to_vec(), 2, false);
+        assert!(!alone.contains('÷') && !alone.contains("perceived error of"), "{alone}");
     }
 
     #[test]
