@@ -12,6 +12,7 @@ mod common;
 use std::time::Duration;
 
 use criterion::{Criterion, Throughput};
+use perceptile::domain::Domain;
 use perceptile::draw::LevelSets;
 use perceptile::gradient::reference::{self, ReferenceDraw};
 use perceptile::gradient::simd::Simd;
@@ -51,7 +52,7 @@ fn measure(criterion: &mut Criterion, times: &Times) {
     let mut dense = Dense::new(&tile, &taps, Simd::detect());
     dense.gradients(&draws);
     let plain: Vec<ReferenceDraw> = draws.iter().map(|draw| draw.reference(&levels)).collect();
-    assert_near(&dense.gradient(), &reference::gradient(&tile, &levels, &plain));
+    assert_near(&dense.gradient(), &reference::gradient((&tile, Domain::Square), &levels, &plain));
     group.throughput(Throughput::Elements(DENSE_DRAWS as u64));
     group.bench_function("dense", |bencher| {
         bencher.iter_custom(|n| times.dense.measure(n, || dense.gradients(&draws)));

@@ -9,11 +9,14 @@ use std::hint::black_box;
 use std::time::Duration;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
+use perceptile::domain::Domain;
 use perceptile::metric::Baseline;
 use perceptile::tile::Layout;
 
 use common::subsets::{self, DIMS, SUBSETS};
-use common::{Gradients, PAPER_DRAWS, PAPER_SIZE, gradient, paper_options, paper_taps, shape};
+use common::{
+    Gradients, PAPER_DRAWS, PAPER_SIZE, gradient, gradient_in, paper_options, paper_taps, shape,
+};
 
 /// Draws by size and dimensions; a throughput of 1 Gelem/s is a nanosecond for each sample of a
 /// subset, whatever its dimensions.
@@ -64,6 +67,25 @@ fn layouts(criterion: &mut Criterion) {
     }
 }
 
+/// The same draws in each domain, to be compared with the square's.
+fn domains(criterion: &mut Criterion) {
+    let mut group = criterion.benchmark_group("domain");
+    group.throughput(Throughput::Elements(PAPER_DRAWS as u64));
+    for domain in Domain::ALL {
+        let shape = shape([64, 64, 16], 1, domain.dims().unwrap_or(2));
+        let taps = paper_taps(shape);
+        let tile = Baseline::White.tile_of(domain, shape, 3);
+        let gradient = gradient_in(domain, shape, &taps, paper_options(PAPER_DRAWS));
+        let (mut gradients, mut step) = (Gradients::new(gradient, &tile), 0);
+        group.bench_function(domain.to_string(), |bencher| {
+            bencher.iter(|| {
+                step += 1;
+                gradients.run(black_box(step))
+            });
+        });
+    }
+}
+
 /// The draws of a step on the paper's tile.
 fn paper(criterion: &mut Criterion) {
     let shape = shape(PAPER_SIZE, 1, 2);
@@ -89,6 +111,6 @@ criterion_group! {
         .sample_size(10)
         .warm_up_time(Duration::from_millis(100))
         .measurement_time(Duration::from_millis(500));
-    targets = sizes, layouts, paper
+    targets = sizes, layouts, domains, paper
 }
 criterion_main!(benches);

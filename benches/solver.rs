@@ -8,10 +8,11 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
+use perceptile::domain::Surface;
 use perceptile::gradient::probe::{Probe, Stage};
 use perceptile::gradient::simd::Simd;
 use perceptile::kernel::KernelTaps;
-use perceptile::metric::{Baseline, Class, Domain, ScoreOptions, Scorer};
+use perceptile::metric::{Baseline, Class, Coordinates, ScoreOptions, Scorer};
 use perceptile::solver::adam::Update;
 use perceptile::solver::polish::{Polish, PolishOptions};
 use perceptile::solver::{Descent, Samples};
@@ -94,6 +95,7 @@ fn adam(criterion: &mut Criterion) {
     let simd = Simd::detect();
     let mut update = |step: u32| {
         simd.run(Update {
+            place: (Surface::Cube, 1),
             factors: ADAM.factors(step, 10_000, 0.01),
             gradients: black_box(&gradients),
             samples: &mut x,
@@ -144,12 +146,13 @@ fn polish(criterion: &mut Criterion) {
 }
 
 fn scorer(shape: TileShape, taps: &KernelTaps) -> Scorer {
-    Scorer::new(shape, taps, ScoreOptions { set: 0, integrands: 8 }).expect("a scorer")
+    Scorer::new(shape, taps, ScoreOptions { set: 0, integrands: 8, ..ScoreOptions::default() })
+        .expect("a scorer")
 }
 
 fn edge(scorer: &Scorer, tile: &Tile) -> f64 {
     let scores = scorer.score(tile).expect("scores");
-    scores.class(Class::Edge, Domain::All).expect("a class of all tiles").perceived.mean
+    scores.class(Class::Edge, Coordinates::All).expect("a class of all tiles").perceived.mean
 }
 
 /// All scores of a tile, on eight integrands of each class.

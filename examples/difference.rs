@@ -12,6 +12,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use glam::IVec3;
+use perceptile::domain::Domain;
 use perceptile::format::source::TileSource;
 use perceptile::format::write::Existing;
 use perceptile::kernel::{KernelSpec, KernelTaps};
@@ -96,7 +97,7 @@ fn draw(rows: &[Row]) -> Canvas {
 
 /// The error of the first bump of the first set of integrands, at every pixel.
 fn errors(tile: &Tile) -> Vec<f32> {
-    let sets = integrand_sets(0, tile.shape().dims(), 1);
+    let sets = integrand_sets(Domain::Square, 0, tile.shape().dims(), 1);
     let bump = sets.iter().find(|set| set.class == Class::Bump);
     let mut errors = vec![0.0; tile.shape().pixels()];
     if let Some(bump) = bump.and_then(|set| set.integrands.first()) {

@@ -30,6 +30,7 @@
 //! | to | begin at |
 //! |---|---|
 //! | make a tile | [`Optimizer`] with a [`Preset`]; more options are in [`Options`] |
+//! | make unit vectors or points of a disk | [`Optimizer::domain`] with a [`Domain`](domain::Domain) |
 //! | watch it being made, or end that | [`Optimizer::observe`] |
 //! | say what the eye sees | [`Viewing`] (frame rate, temporal anti-aliasing, display), or a [`KernelSpec`] from text |
 //! | read and write tiles | [`Tile::load`], [`Tile::save`]; other files: [`format`](mod@format) |
@@ -45,6 +46,7 @@
 //!                 ╲        ╱           ├─► profile    ├─► metric  scores, spectra
 //!             tile: shape, cells, blocks,  stages,         ├─► preview  the picture beside a tile
 //!             rows (all index arithmetic)  caches, roofline └─► report  a page with an animation
+//!             domain: where samples live
 //! ```
 //!
 //! Arrows run one way. A step of the solver (`solver::Descent::step`) has two halves. In the
@@ -68,6 +70,7 @@
 // Rooms behind the items below. The command, tests and benches go in; users need not.
 #[cfg_attr(not(internals), doc(hidden))]
 pub mod array;
+pub mod domain;
 #[cfg_attr(not(internals), doc(hidden))]
 pub mod draw;
 pub mod format;

@@ -11,9 +11,10 @@ use std::fmt;
 use rayon::{ThreadPoolBuildError, ThreadPoolBuilder};
 use thiserror::Error;
 
+use crate::domain::Domain;
 use crate::gradient::simd::Simd;
 use crate::kernel::{KernelSpec, Viewing};
-use crate::metric::{ScoreError, Scores};
+use crate::metric::{ScoreError, ScoreOptions, Scores};
 use crate::run::driver::{self, Parallel};
 use crate::run::error::RunError;
 use crate::run::memory::{self, MemoryError};
@@ -131,6 +132,24 @@ impl<'a> Optimizer<'a> {
     /// Dimensions of a sample, 1 to 16.
     pub fn dims(self, dims: usize) -> Self {
         Self { dims, ..self }
+    }
+
+    /// Where samples live, and as many dimensions as its points have: of a circle, sphere and so on of
+    /// radius ½ around ½. Without this call it is the square.
+    ///
+    /// ```
+    /// use perceptile::domain::Domain;
+    /// use perceptile::{Optimizer, Preset};
+    ///
+    /// let run = Optimizer::new(Preset::Quick).domain(Domain::Sphere).size(8, 8, 8).steps(20).run()?;
+    /// let direction: Vec<f32> = run.tile().point(1, 2, 3, 0).iter().map(|x| 2.0 * x - 1.0).collect();
+    /// let length = direction.iter().map(|x| x * x).sum::<f32>().sqrt();
+    /// assert!((length - 1.0).abs() < 1e-6);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn domain(mut self, domain: Domain) -> Self {
+        self.options.domain = domain;
+        Self { dims: domain.dims().unwrap_or(self.dims), ..self }
     }
 
     /// The filter through which error is seen, for example from text:
@@ -296,7 +315,10 @@ impl Run {
     /// # Errors
     /// A kernel from a file that can no longer be read.
     pub fn scores(&self) -> Result<Scores, ScoreError> {
-        self.tile.scores(&self.options.kernel.perceived(self.tile.shape()))
+        let shape = self.tile.shape();
+        let kernel = self.options.kernel.perceived(shape).resolve(shape)?;
+        let options = ScoreOptions { domain: self.options.domain, ..ScoreOptions::default() };
+        Scores::of(&self.tile, &kernel.classes()[0].taps, options)
     }
 }
 

@@ -7,6 +7,7 @@
 //! for the same instruction set as the fast path. One thread, f32.
 
 use glam::IVec3;
+use perceptile::domain::Domain;
 use perceptile::draw::{Direction, DirectionSet, LevelSets, Stream, Use};
 use perceptile::gradient::Targets;
 use perceptile::gradient::reference::ReferenceDraw;
@@ -30,7 +31,7 @@ pub struct DenseDraw {
 impl DenseDraw {
     /// Independent draws: any pixel, any threshold of either sign, any direction.
     pub fn independent(shape: TileShape, levels: &LevelSets, count: usize) -> Vec<Self> {
-        let directions = DirectionSet::new(shape.dims());
+        let directions = DirectionSet::new(Domain::Square, shape.dims());
         let mut stream = Stream::new(1, Use::Draws, 0, 0);
         let draw = |_| {
             let pixel = size(shape).to_array().map(|size| stream.below(size as u32) as i32).into();
@@ -97,7 +98,7 @@ impl Dense {
         Self {
             shape,
             simd,
-            targets: Targets::new(&DirectionSet::new(dims)),
+            targets: Targets::new(&DirectionSet::new(Domain::Square, dims)),
             weights,
             samples: (0..dims).flat_map(plane).collect(),
             gradient: vec![0.0; shape.coordinates()],

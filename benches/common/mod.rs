@@ -10,7 +10,8 @@ use std::cell::Cell;
 use std::time::{Duration, Instant};
 
 use glam::IVec3;
-use perceptile::draw::{CellDraws, DrawOptions, Draws, LevelSets};
+use perceptile::domain::Domain;
+use perceptile::draw::{CellDraws, DirectionSet, DrawOptions, Draws, LevelSets};
 use perceptile::gradient::probe::Unprobed;
 use perceptile::gradient::reference::{self, ReferenceDraw};
 use perceptile::gradient::simd::Simd;
@@ -52,9 +53,24 @@ pub fn paper_options(draws: usize) -> DrawOptions {
     DrawOptions { draws, directions: 1, threshold_range: 1.0, axis_share: 0.0, pair_share: 0.0 }
 }
 
-/// The gradient of a kernel.
+/// The gradient of a kernel, in the square.
 pub fn gradient(shape: TileShape, taps: &KernelTaps, options: DrawOptions) -> Gradient {
-    let draws = Draws::new(options, 1, LevelSets::new([(1.0, taps)]), shape.dims());
+    gradient_in(Domain::Square, shape, taps, options)
+}
+
+/// The gradient of a kernel in a domain.
+pub fn gradient_in(
+    domain: Domain,
+    shape: TileShape,
+    taps: &KernelTaps,
+    options: DrawOptions,
+) -> Gradient {
+    let draws = Draws::new(
+        options,
+        1,
+        LevelSets::new([(1.0, taps)]),
+        DirectionSet::new(domain, shape.dims()),
+    );
     let partition = Partition::new(shape, draws.levels().reach());
     let quantum = Quantum::new(&draws, &partition).expect("a unit");
     Gradient::new(draws, partition, quantum, Simd::detect())
@@ -137,7 +153,8 @@ impl Gradients {
         let levels = few.gradient.draws().levels();
         let (mut expected, mut objective) = (vec![0.0; tile.samples().len()], 0.0);
         for draw in reference_draws(&few.gradient, 0) {
-            let gradients = reference::gradient(tile, levels, std::slice::from_ref(&draw));
+            let gradients =
+                reference::gradient((tile, Domain::Square), levels, std::slice::from_ref(&draw));
             // Along one direction of length 1, gradients are as long as the differences to targets.
             let squares: f64 = gradients.iter().map(|x| x * x).sum();
             objective += squares / (draw.taps * draw.samples) as f64;

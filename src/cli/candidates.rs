@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
+use perceptile::domain::Domain;
 use perceptile::kernel::{KernelSpec, KernelTaps};
 use perceptile::metric::{Baseline, ScoreOptions, ScoredTile};
 use perceptile::tile::{Tile, TileShape};
@@ -41,7 +42,7 @@ pub fn read(paths: Vec<PathBuf>, source: &SourceArgs) -> Result<Vec<Candidate>, 
 }
 
 /// A name like this one that is free.
-fn unused(stem: String, is_free: impl Fn(&String) -> bool) -> String {
+pub fn unused(stem: String, is_free: impl Fn(&String) -> bool) -> String {
     (1..)
         .map(|n| if n == 1 { stem.clone() } else { format!("{stem}-{n}") })
         .find(is_free)
@@ -71,7 +72,7 @@ impl PartsArgs {
     pub fn of(
         &self,
         candidates: Vec<Candidate>,
-        baselines: &[Baseline],
+        (domain, baselines): (Domain, &[Baseline]),
     ) -> Result<Vec<Candidate>, Misuse> {
         let (first, tiles) = (candidates[0].name.clone(), candidates.len());
         let mut stems: Vec<(String, Baseline)> = Vec::new();
@@ -95,7 +96,7 @@ impl PartsArgs {
             parts.extend(shapes.iter().map(|(part, shape)| Candidate {
                 name: format!("{stem}{part}"),
                 path: None,
-                tile: baseline.tile(*shape, BASELINE_SEED),
+                tile: baseline.tile_of(domain, *shape, BASELINE_SEED),
             }));
         }
         Ok(parts)

@@ -6,12 +6,13 @@ mod verdict;
 use std::path::{Path, PathBuf};
 
 use perceptile::format::write::{self, Existing};
-use perceptile::metric::{Baseline, Class, Domain, ScoreOptions, ScoredTile, digits};
+use perceptile::metric::{Baseline, Class, Coordinates, ScoreOptions, ScoredTile, digits};
 use perceptile::report::pictures::spectrum_picture;
 use serde::Serialize;
 
 use super::candidates::{self, Candidate, PartsArgs, progress};
-use super::exit::{Exit, Failure};
+use super::domain::DomainArgs;
+use super::exit::{Exit, Failure, Misuse};
 use super::integrands::IntegrandsArgs;
 use super::perceived::PerceivedArgs;
 use super::source::{self, SourceArgs};
@@ -47,6 +48,9 @@ pub struct EvaluateArgs {
 
     #[command(flatten)]
     parts: PartsArgs,
+
+    #[command(flatten)]
+    domain: DomainArgs,
 
     #[command(flatten)]
     kernel: PerceivedArgs,
@@ -121,25 +125,34 @@ impl Evaluation {
 /// A tile that cannot be read, a kernel that does not fit one, options out of range, spectra that
 /// exist without `--force` or cannot be written, more error than `--require` allows.
 pub fn run(args: EvaluateArgs) -> Result<(), Failure> {
-    let options = args.integrands.options();
-    options.validate()?;
+    args.integrands.options().validate()?;
     args.kernel.check()?;
-    let candidates = candidates(&args)?;
+    let mut candidates = candidates(&args)?;
     let kernel = args.kernel.choose(&args.tiles[0], &candidates)?;
+    let domain = args.domain.choose(&args.tiles[0], &mut candidates, &args.source)?;
+    let is_missing = |(class, _): &&(Class, f64)| !Class::of(domain).contains(class);
+    if let Some((class, _)) = args.require.iter().find(is_missing) {
+        let what = format!("--require says {class}, but there is no such score");
+        return Err(Misuse(format!("{what} of the domain `{domain}`")).into());
+    }
+    let options = ScoreOptions { domain, ..args.integrands.options() };
     // The tile to compare with is always put first.
     let against = candidates[0].name.clone();
     let tiles = candidates.len() + args.baselines.len();
-    let candidates = args.parts.of(candidates, &args.baselines)?;
+    let candidates = args.parts.of(candidates, (domain, &args.baselines))?;
     let parts = candidates.len() / tiles;
     let existing = Existing::from_force(args.force);
     if let Some(folder) = &args.spectra {
         write::make_folder(folder)?;
         let outputs = candidates.iter().flat_map(|candidate| {
-            Domain::of(candidate.tile.shape().dims())
+            Coordinates::of(domain, candidate.tile.shape().dims())
                 .iter()
-                .flat_map(|&domain| Class::ALL.map(|class| (class, domain)))
-                .flat_map(|(class, domain)| {
-                    ["xy", "xt"].map(|plane| picture(folder, &candidate.name, class, domain, plane))
+                .flat_map(|&coordinates| {
+                    Class::of(domain).iter().map(move |&class| (class, coordinates))
+                })
+                .flat_map(|(class, coordinates)| {
+                    ["xy", "xt"]
+                        .map(|plane| picture(folder, &candidate.name, class, coordinates, plane))
                 })
         });
         write::probe(outputs, existing)?;
@@ -178,7 +191,7 @@ fn check(args: &EvaluateArgs, tiles: &[ScoredTile]) -> Result<(), Failure> {
     let mut result = Ok(());
     for tile in tiles.iter().filter(|tile| tile.path.as_ref().is_some_and(is_named)) {
         for &(class, most) in &args.require {
-            let score = tile.scores.class(class, Domain::All);
+            let score = tile.scores.class(class, Coordinates::All);
             if let Some(score) = score.filter(|score| score.perceived.mean > most) {
                 let found = format!("{} has {}", tile.name, digits(score.perceived.mean, 6));
                 say(format_args!("error: {found} for {class}, but --require says at most {most}"));
@@ -201,16 +214,22 @@ fn candidates(args: &EvaluateArgs) -> Result<Vec<Candidate>, Failure> {
 }
 
 /// Where a spectrum is saved.
-fn picture(folder: &Path, name: &str, class: Class, domain: Domain, plane: &str) -> PathBuf {
+fn picture(
+    folder: &Path,
+    name: &str,
+    class: Class,
+    coordinates: Coordinates,
+    plane: &str,
+) -> PathBuf {
     let class = class.to_string().replace(' ', "-");
-    let pairs = if domain == Domain::Pairs { "-pairs" } else { "" };
+    let pairs = if coordinates == Coordinates::Pairs { "-pairs" } else { "" };
     folder.join(format!("{name}-{class}{pairs}-{plane}.png"))
 }
 
 fn save_spectra(folder: &Path, entry: &ScoredTile, existing: Existing) -> Result<(), Failure> {
     for spectra in entry.spectra.iter().flatten() {
         for (plane, spectrum) in [("xy", &spectra.xy), ("xt", &spectra.xt)] {
-            let path = picture(folder, &entry.name, spectra.class, spectra.domain, plane);
+            let path = picture(folder, &entry.name, spectra.class, spectra.coordinates, plane);
             spectrum_picture(spectrum).save(&path, existing)?;
         }
     }
@@ -222,6 +241,7 @@ mod tests {
     use std::fs;
 
     use clap::Parser;
+    use perceptile::domain::Domain;
     use perceptile::tile::TileShape;
 
     use super::*;
@@ -253,7 +273,8 @@ mod tests {
             .map(|name| save(folder.path(), name, name.len() as u64));
         let names = |line: &[&str]| -> Vec<String> {
             let args = parse(line);
-            let parts = args.parts.of(candidates(&args).unwrap(), &args.baselines);
+            let parts =
+                args.parts.of(candidates(&args).unwrap(), (Domain::Square, &args.baselines));
             parts.unwrap().into_iter().map(|c| c.name).collect()
         };
         assert_eq!(names(&[&a, &b, &old]), ["a", "b", "a-2"]);
@@ -275,7 +296,8 @@ mod tests {
         let path = path.to_str().unwrap();
         let parts = |flags: &[&str]| {
             let args = parse(&[&[path, "--baselines", "white"], flags].concat());
-            let parts = args.parts.of(candidates(&args).unwrap(), &args.baselines);
+            let parts =
+                args.parts.of(candidates(&args).unwrap(), (Domain::Square, &args.baselines));
             parts.map(|parts| parts.into_iter().map(|part| part.name).collect::<Vec<_>>())
         };
         assert_eq!(parts(&[]).unwrap(), ["a", "white"]);

@@ -7,6 +7,7 @@ use std::error::Error;
 use std::fmt::{Display, Write as _};
 use std::process::ExitCode;
 
+use perceptile::domain::DomainError;
 use perceptile::format::animation::AnimationError;
 use perceptile::format::picture::ImageError;
 use perceptile::format::source::SourceError;
@@ -134,6 +135,7 @@ macro_rules! exits {
 
 exits! {
     Misuse { _ => Exit::Misuse }
+    DomainError { _ => Exit::Misuse }
     OptionsError { Self::Kernel(error) => error.exit(), _ => Exit::Misuse }
     KernelError {
         Self { problem: ResolveProblem::Table(_), .. } => Exit::Failed,

@@ -29,8 +29,8 @@ pub struct IntegrandsArgs {
 }
 
 impl IntegrandsArgs {
-    /// What the scores are taken with.
+    /// What the scores of tiles of the square are taken with.
     pub fn options(self) -> ScoreOptions {
-        ScoreOptions { set: self.set, integrands: self.integrands }
+        ScoreOptions { set: self.set, integrands: self.integrands, ..ScoreOptions::default() }
     }
 }

@@ -6,6 +6,7 @@ mod candidates;
 mod completions;
 mod config;
 mod display;
+mod domain;
 mod duration;
 mod evaluate;
 mod execution;

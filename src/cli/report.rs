@@ -3,13 +3,15 @@
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
+use perceptile::domain::Domain;
 use perceptile::format::write::Existing;
 use perceptile::kernel::KernelSpec;
-use perceptile::metric::Baseline;
+use perceptile::metric::{Baseline, ScoreOptions};
 use perceptile::report::{Report, ReportOptions};
 use perceptile::run::signals::Signals;
 
 use super::candidates::{self, PartsArgs, progress};
+use super::domain::DomainArgs;
 use super::exit::{Failure, Misuse};
 use super::integrands::IntegrandsArgs;
 use super::perceived::PerceivedArgs;
@@ -58,6 +60,9 @@ pub struct ReportArgs {
     integrands: IntegrandsArgs,
 
     #[command(flatten)]
+    domain: DomainArgs,
+
+    #[command(flatten)]
     source: SourceArgs,
 }
 
@@ -69,13 +74,14 @@ pub struct ReportArgs {
 pub fn run(args: ReportArgs) -> Result<ExitCode, Failure> {
     let signals =
         Signals::install(|_| ()).map_err(Failure::refused("cannot listen for signals"))?;
-    let scores = args.integrands.options();
-    scores.validate()?;
+    args.integrands.options().validate()?;
     args.kernel.check()?;
     check_name(&args.out, args.force)?;
-    let candidates = candidates::read(args.tiles.clone(), &args.source)?;
+    let mut candidates = candidates::read(args.tiles.clone(), &args.source)?;
     let kernel = args.kernel.choose(&args.tiles[0], &candidates)?;
-    let mut candidates = args.parts.of(candidates, &[Baseline::White])?;
+    let domain = args.domain.choose(&args.tiles[0], &mut candidates, &args.source)?;
+    let scores = ScoreOptions { domain, ..args.integrands.options() };
+    let mut candidates = args.parts.of(candidates, (domain, &[Baseline::White]))?;
     // White noise is white in all of its parts.
     let noise = candidates.iter().position(|candidate| candidate.path.is_none());
     candidates.truncate(noise.map_or(candidates.len(), |first| first + 1));
@@ -84,7 +90,7 @@ pub fn run(args: ReportArgs) -> Result<ExitCode, Failure> {
         alpha: ALPHA,
         fps: frame_rate(&kernel.spec),
         scores,
-        command: args.command(&kernel.spec),
+        command: args.command(&kernel.spec, domain),
     };
     let ReportArgs { out, renders, force, .. } = args;
     let existing = Existing::from_force(force);
@@ -132,7 +138,7 @@ fn frame_rate(kernel: &KernelSpec) -> f64 {
 impl ReportArgs {
     /// The command that makes the same report, as any folder. The kernel says all that follows from
     /// flags and sidecars.
-    fn command(&self, kernel: &KernelSpec) -> String {
+    fn command(&self, kernel: &KernelSpec, domain: Domain) -> String {
         let mut words: Vec<String> = ["perceptile", "report", "OUT"].map(str::to_owned).into();
         words.extend(self.tiles.iter().map(|path| {
             let name = path.display().to_string();
@@ -147,6 +153,7 @@ impl ReportArgs {
         let scores = self.integrands.options();
         flag("integrands", scores.integrands.to_string());
         flag("set", scores.set.to_string());
+        words.extend(self.domain.command_line(domain));
         words.extend(self.parts.command_line());
         words.extend(self.source.command_line());
         super::line(words.into_iter())
@@ -185,7 +192,7 @@ mod tests {
         ];
         let kernel: KernelSpec = "gaussian(2.1) * ema(0.1) @ 7x7x8".parse().unwrap();
         assert_eq!(
-            parse(&args).unwrap().command(&kernel),
+            parse(&args).unwrap().command(&kernel, Domain::Square),
             "perceptile report OUT 'a b.npy' ./-x --kernel 'gaussian(2.1) * ema(0.1) @ 7x7x8' \
              --renders r --integrands 256 --set 0 --prefix '1,2' --stride 8 --spp 2"
         );

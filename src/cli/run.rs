@@ -150,7 +150,9 @@ impl RunArgs {
         let seen = seen.resolve(plan.options.shape)?;
         let taps = &seen.classes()[0].taps;
         let score = |tile: &Tile| {
-            let options = ScoreOptions { integrands: invocation.integrands, ..Default::default() };
+            let domain = plan.options.domain;
+            let integrands = invocation.integrands;
+            let options = ScoreOptions { domain, integrands, ..Default::default() };
             pool.install(|| Scorer::new(plan.options.shape, taps, options)?.score(tile))
         };
         let scores = tile.as_ref().map(score).transpose()?;
@@ -161,7 +163,8 @@ impl RunArgs {
         };
         let whole = tile.as_ref().map_or(output as &dyn ArraySource, |tile| tile);
         let (shape, scored) = (plan.options.shape, scores.as_ref());
-        let written = outputs.write(shape, whole, taps, scored, existing, provenance);
+        let written =
+            outputs.write((plan.options.domain, shape), whole, taps, scored, existing, provenance);
         output.discard();
         let path = checkpointer.path().display();
         let resume = checkpointer.has_saved().then(|| format!("perceptile resume {path}"));

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::str::FromStr;
 
 use clap::Args;
+use perceptile::domain::Domain;
 use perceptile::kernel::KernelSpec;
 use perceptile::solver::{Options, Preset, Start};
 use perceptile::tile::{ShapeError, TileShape};
@@ -114,6 +115,11 @@ settings! {
     #[arg(value_name = "N", help_heading = "Tile", value_parser = whole::<usize>)]
     dims: usize,
 
+    /// Where samples live: `square` (a cube of any dimensions), `circle` and `disk` (2 numbers), `sphere`,
+    /// `hemisphere` and `cosine` (3), all of radius 1/2 around 1/2 [default: square]
+    #[arg(value_name = "DOMAIN", help_heading = "Tile")]
+    domain: Domain => domain,
+
     /// Seed of the random numbers [default: 1]
     #[arg(value_name = "N", help_heading = "Tile", value_parser = whole::<u64>)]
     seed: u64 => seed,
@@ -214,8 +220,10 @@ impl Settings {
         let shape = options.shape;
         let preset_size = TileSize([shape.width(), shape.height(), shape.frames()]);
         let size = self.tile.unwrap_or(preset_size);
-        let (spp, dims) = (self.spp.unwrap_or(shape.spp()), self.dims.unwrap_or(shape.dims()));
-        options = options.with_shape(size.shape(spp, dims)?);
+        let domain = self.domain.unwrap_or(options.domain);
+        let dims = self.dims.or(domain.dims()).unwrap_or(shape.dims());
+        let spp = self.spp.unwrap_or(shape.spp());
+        options = options.with_domain(domain).with_shape(size.shape(spp, dims)?);
         if let Some(steps) = self.steps {
             options = options.with_steps(steps);
         }
@@ -306,6 +314,7 @@ mod tests {
             tile: Some(TileSize([9, n as usize, 4])),
             spp: Some(3),
             dims: Some(5),
+            domain: Some(Domain::Square),
             kernel: Some(
                 "0.5: gaussian(1.5) @ 90% + 0.5: table(\"a b.npy\", origin=(0, 1, 2))"
                     .parse()
@@ -383,7 +392,7 @@ mod tests {
                 said += 1;
             }
         }
-        assert_eq!(said, 22 * Preset::ALL.len());
+        assert_eq!(said, 23 * Preset::ALL.len());
     }
 
     #[test]

@@ -1,10 +1,12 @@
 //! Directions of projections: where they point, and which table their target comes from.
 //!
-//! In one and two dimensions every direction has a target in closed form. Above, the directions
+//! In the square every direction has a target in closed form. In a cube the directions
 //! are those of a fixed set, multiplied by random signed permutations of the axes: the projection
 //! of a uniform density depends on the magnitudes of the components only, so one table serves all
 //! images of a direction. Directions along a pair of axes, or one axis, are closed forms as well.
+//! In other domains one table serves all directions that see the domain alike.
 
+use crate::domain::{Domain, Symmetry};
 use crate::draw::{Stream, Use};
 use crate::tile::MAX_DIMS;
 
@@ -31,11 +33,13 @@ impl Direction {
     }
 }
 
-/// The shape of the projected uniform density, up to its lower end.
+/// The shape of the projected density, up to where it stands.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Density {
-    /// At most two components differ from 0: a trapezoid.
+    /// At most two components differ from 0, in the cube: a trapezoid.
     Trapezoid,
+    /// All projections of a sphere are as likely (Archimedes).
+    Uniform,
     /// The density of a direction of the fixed set.
     Table {
         /// Position in the set.
@@ -43,12 +47,15 @@ pub enum Density {
     },
 }
 
-/// Directions for tiles of a number of dimensions.
+/// Directions for tiles of a domain and a number of dimensions.
 #[derive(Debug, Clone)]
 pub struct DirectionSet {
+    domain: Domain,
+    symmetry: Symmetry,
     dims: usize,
-    /// Components' magnitudes; empty for one and two dimensions.
-    magnitudes: Vec<[f32; MAX_DIMS]>,
+    /// One of all directions that see the domain alike, for each table of targets: in a cube by its
+    /// components' magnitudes, and none in the square and on a line.
+    representatives: Vec<[f32; MAX_DIMS]>,
 }
 
 impl DirectionSet {
@@ -56,12 +63,33 @@ impl DirectionSet {
     /// (48 in three dimensions, more above) they cover the sphere densely.
     pub const SIZE: usize = 256;
 
-    /// The set for `dims` dimensions; it does not depend on any seed.
-    pub fn new(dims: usize) -> Self {
-        let mut stream = Stream::new(0, Use::DirectionSet, dims as u32, 0);
-        let count = if dims > 2 { Self::SIZE } else { 0 };
-        let magnitudes = (0..count).map(|_| sphere(dims, &mut stream).map(f32::abs)).collect();
-        Self { dims, magnitudes }
+    /// Number of directions in the fixed set of an axial domain: those with so many last components
+    /// at equal distances, and turned around the axis by any angle.
+    pub const HEIGHTS: usize = 64;
+
+    /// The set for a domain in `dims` dimensions; it does not depend on any seed.
+    pub fn new(domain: Domain, dims: usize) -> Self {
+        let symmetry = domain.symmetry();
+        let representatives = match symmetry {
+            Symmetry::Cube => {
+                let mut stream = Stream::new(0, Use::DirectionSet, dims as u32, 0);
+                let count = if dims > 2 { Self::SIZE } else { 0 };
+                (0..count).map(|_| sphere(dims, &mut stream).map(f32::abs)).collect()
+            }
+            Symmetry::Round => vec![unit(0, 1.0, 0.0)],
+            Symmetry::Axial => (0..Self::HEIGHTS)
+                .map(|index| {
+                    let height = height(index);
+                    unit(dims - 1, height, libm::sqrt(1.0 - height * height))
+                })
+                .collect(),
+        };
+        Self { domain, symmetry, dims, representatives }
+    }
+
+    /// The domain.
+    pub fn domain(&self) -> Domain {
+        self.domain
     }
 
     /// Number of dimensions.
@@ -69,19 +97,22 @@ impl DirectionSet {
         self.dims
     }
 
-    /// The magnitudes of the components of every direction of the set.
-    pub fn magnitudes(&self) -> &[[f32; MAX_DIMS]] {
-        &self.magnitudes
+    /// A direction for every table of targets.
+    pub fn representatives(&self) -> &[[f32; MAX_DIMS]] {
+        &self.representatives
     }
 
     /// Uniform on the sphere; `u` in [0, 1) moves through the set (or around the half circle).
     pub fn any(&self, u: f64, stream: &mut Stream) -> Direction {
+        if self.symmetry != Symmetry::Cube {
+            return self.turned(u, stream);
+        }
         match self.dims {
             1 => self.axis(0),
             2 => self.pair(0, 1, u),
             dims => {
                 let index = ((u * Self::SIZE as f64) as usize).min(Self::SIZE - 1);
-                let mut theta = self.magnitudes[index];
+                let mut theta = self.representatives[index];
                 for k in (1..dims).rev() {
                     theta.swap(k, stream.below(k as u32 + 1) as usize);
                 }
@@ -96,6 +127,34 @@ impl DirectionSet {
         }
     }
 
+    /// One that is as `u` says for its table, turned by a random angle where it does not matter.
+    fn turned(&self, u: f64, stream: &mut Stream) -> Direction {
+        let table = |theta, index: usize| {
+            let density = match self.domain.has_uniform_projections() {
+                true => Density::Uniform,
+                false => Density::Table { index: index as u32 },
+            };
+            Direction { theta, density }
+        };
+        if self.dims == 2 {
+            return table(self.pair(0, 1, u).theta, 0);
+        }
+        let (height, index) = match self.symmetry {
+            // Opposite directions are one, so half of the heights are all.
+            Symmetry::Axial => {
+                let index = ((u * Self::HEIGHTS as f64) as usize).min(Self::HEIGHTS - 1);
+                (height(index), index)
+            }
+            _ => (u, 0),
+        };
+        let (sin, cos) = half_turn(stream.unit());
+        let flat = libm::sqrt(1.0 - height * height);
+        let flat = if stream.word() & 1 == 1 { -flat } else { flat };
+        let mut theta = [0.0; MAX_DIMS];
+        (theta[0], theta[1], theta[2]) = ((flat * cos) as f32, (flat * sin) as f32, height as f32);
+        table(theta, index)
+    }
+
     /// In the plane of two axes, at the angle π·`u`.
     pub fn pair(&self, a: usize, b: usize, u: f64) -> Direction {
         let (sin, cos) = half_turn(u);
@@ -104,8 +163,12 @@ impl DirectionSet {
         Direction { theta, density: Density::Trapezoid }
     }
 
-    /// In the plane of a random pair of axes, at the angle π·`u`.
+    /// In the plane of a random pair of axes, at the angle π·`u`; in a domain whose axes are as all
+    /// other directions, any.
     pub fn random_pair(&self, u: f64, stream: &mut Stream) -> Direction {
+        if self.symmetry != Symmetry::Cube {
+            return self.turned(u, stream);
+        }
         match self.dims {
             1 => self.axis(0),
             dims => {
@@ -116,12 +179,33 @@ impl DirectionSet {
         }
     }
 
+    /// Along a random axis; in a domain whose axes are as all other directions, as `u` says.
+    pub fn random_axis(&self, u: f64, stream: &mut Stream) -> Direction {
+        match self.symmetry {
+            Symmetry::Cube => self.axis(stream.below(self.dims as u32) as usize),
+            _ => self.turned(u, stream),
+        }
+    }
+
     /// Along an axis.
     pub fn axis(&self, k: usize) -> Direction {
         let mut theta = [0.0; MAX_DIMS];
         theta[k] = 1.0;
         Direction { theta, density: Density::Trapezoid }
     }
+}
+
+/// The last component of direction number `index` of an axial domain.
+fn height(index: usize) -> f64 {
+    (index as f64 + 0.5) / DirectionSet::HEIGHTS as f64
+}
+
+/// A direction with a component `along` axis number `k`, and the rest along the first.
+fn unit(k: usize, along: f64, rest: f64) -> [f32; MAX_DIMS] {
+    let mut theta = [0.0; MAX_DIMS];
+    theta[0] = rest as f32;
+    theta[k] = along as f32;
+    theta
 }
 
 /// Sine and cosine of π·`u` for `u` in [0, 1), to 1e−10, which is enough
@@ -186,7 +270,7 @@ mod tests {
     #[test]
     fn directions_are_unit_vectors_without_a_preferred_side() {
         for dims in [1, 2, 3, 8, 16] {
-            let set = DirectionSet::new(dims);
+            let set = DirectionSet::new(Domain::Square, dims);
             let mut stream = Stream::new(1, Use::Directions, 0, 0);
             let mut second_moment = [0.0_f64; MAX_DIMS];
             let count = 20_000;

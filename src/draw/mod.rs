@@ -80,9 +80,9 @@ pub struct Draws {
 const STRIDES: [u32; 3] = [0xD1B5_4A32, 0xABC9_8388, 0x8CB9_2BA7];
 
 impl Draws {
-    /// A source of draws from `levels` for tiles of `dims` dimensions.
-    pub fn new(options: DrawOptions, seed: u64, levels: LevelSets, dims: usize) -> Self {
-        Self { options, seed, levels, set: DirectionSet::new(dims) }
+    /// A source of draws from `levels` with directions of `set`.
+    pub fn new(options: DrawOptions, seed: u64, levels: LevelSets, set: DirectionSet) -> Self {
+        Self { options, seed, levels, set }
     }
 
     /// How draws are made.
@@ -183,7 +183,7 @@ impl Draws {
         let kind = stream.unit();
         let DrawOptions { axis_share, pair_share, .. } = self.options;
         if kind < axis_share {
-            self.set.axis(stream.below(self.set.dims() as u32) as usize)
+            self.set.random_axis(u, stream)
         } else if kind < axis_share + pair_share {
             self.set.random_pair(u, stream)
         } else {
@@ -206,6 +206,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+    use crate::domain::Domain;
     use crate::kernel::{KernelTaps, Tap};
     use crate::tile::TileShape;
 
@@ -226,7 +227,7 @@ mod tests {
     }
 
     fn source(options: DrawOptions, seed: u64, weights: &[f64], dims: usize) -> Draws {
-        Draws::new(options, seed, levels(weights), dims)
+        Draws::new(options, seed, levels(weights), DirectionSet::new(Domain::Square, dims))
     }
 
     fn partition(width: usize, height: usize, frames: usize) -> Partition {

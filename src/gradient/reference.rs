@@ -2,12 +2,14 @@
 //! fast one is compared with.
 //!
 //! Nothing here is shared with the fast path but the draws themselves: pixels wrap by remainder,
-//! ranks come from a stable sort, targets from the exact CDF of the projected density, which is
-//! inverted by bisection and integrated in closed form.
+//! ranks come from a stable sort, targets from the exact CDF of the cube's projected density, which
+//! is inverted by bisection and integrated in closed form, and in other domains from many of their
+//! points, projected and sorted ([`ManyPoints`]).
 
 use glam::IVec3;
 
-use super::target::{GRID, NODES};
+use super::target::NODES;
+use crate::domain::{Domain, GRID};
 use crate::draw::{Direction, LevelSets};
 use crate::tile::Tile;
 
@@ -27,17 +29,25 @@ pub struct ReferenceDraw {
 }
 
 /// Half the sum over draws, directions and samples of (projection − target)².
-pub fn objective(tile: &Tile, levels: &LevelSets, draws: &[ReferenceDraw]) -> f64 {
+pub fn objective(
+    (tile, domain): (&Tile, Domain),
+    levels: &LevelSets,
+    draws: &[ReferenceDraw],
+) -> f64 {
     let mut sum = 0.0;
-    visit(tile, levels, draws, |_, _, difference| sum += 0.5 * difference * difference);
+    visit((tile, domain), levels, draws, |_, _, difference| sum += 0.5 * difference * difference);
     sum
 }
 
 /// The negative gradient of [`objective`]: for every coordinate in C order, the sum over its draws.
-pub fn gradient(tile: &Tile, levels: &LevelSets, draws: &[ReferenceDraw]) -> Vec<f64> {
+pub fn gradient(
+    (tile, domain): (&Tile, Domain),
+    levels: &LevelSets,
+    draws: &[ReferenceDraw],
+) -> Vec<f64> {
     let dims = tile.shape().dims();
     let mut gradient = vec![0.0; tile.shape().coordinates()];
-    visit(tile, levels, draws, |sample, direction, difference| {
+    visit((tile, domain), levels, draws, |sample, direction, difference| {
         for k in 0..dims {
             gradient[sample * dims + k] += difference * f64::from(direction.theta[k]);
         }
@@ -47,12 +57,13 @@ pub fn gradient(tile: &Tile, levels: &LevelSets, draws: &[ReferenceDraw]) -> Vec
 
 /// Calls `visit(sample, direction, target − projection)` for every sample of every draw.
 fn visit(
-    tile: &Tile,
+    (tile, domain): (&Tile, Domain),
     levels: &LevelSets,
     draws: &[ReferenceDraw],
     mut visit: impl FnMut(usize, &Direction, f64),
 ) {
     let shape = tile.shape();
+    let points = (!domain.is_square()).then(|| ManyPoints::of(domain));
     let size = IVec3::new(shape.width() as i32, shape.height() as i32, shape.frames() as i32);
     for draw in draws {
         // Where projections are equal, the order of the offsets decides (y first, then t and x).
@@ -67,8 +78,11 @@ fn visit(
             })
             .collect();
         for direction in &draw.directions {
-            let targets =
-                ProjectedDensity::new(&direction.theta[..shape.dims()]).targets(subset.len());
+            let theta = &direction.theta[..shape.dims()];
+            let targets = match &points {
+                None => ProjectedDensity::new(theta).targets(subset.len()),
+                Some(points) => points.targets(theta, subset.len()),
+            };
             let projections: Vec<f64> = subset
                 .iter()
                 .map(|sample| {
@@ -87,6 +101,43 @@ fn visit(
                 visit(subset[place], direction, target - projections[place]);
             }
         }
+    }
+}
+
+/// Points of a domain, spread as evenly as a lattice of the golden ratio is in the square.
+pub struct ManyPoints(Vec<f32>);
+
+impl ManyPoints {
+    /// How many they are.
+    const COUNT: usize = 1 << 15;
+
+    /// Of a domain that has its own dimensions.
+    ///
+    /// # Panics
+    /// If it has any number of them.
+    pub fn of(domain: Domain) -> Self {
+        let dims = domain.dims().expect("a domain with dimensions");
+        let ratio = 0.5 * (5.0_f64.sqrt() - 1.0);
+        let mut points = vec![0.0; Self::COUNT * dims];
+        for (i, point) in points.chunks_exact_mut(dims).enumerate() {
+            let place = [(i as f64 + 0.5) / Self::COUNT as f64, (i as f64 * ratio).fract()];
+            domain.point(&place, point);
+        }
+        Self(points)
+    }
+
+    /// Means of all projections between two ranks of `n`; off by 10⁻³ at most.
+    pub fn targets(&self, theta: &[f32], n: usize) -> Vec<f64> {
+        let project = |point: &[f32]| -> f64 {
+            point.iter().zip(theta).map(|(&x, &theta)| f64::from(x) * f64::from(theta)).sum()
+        };
+        let mut all: Vec<f64> = self.0.chunks_exact(theta.len()).map(project).collect();
+        all.sort_by(f64::total_cmp);
+        let mean = |rank: usize| {
+            let of_rank = &all[rank * all.len() / n..(rank + 1) * all.len() / n];
+            of_rank.iter().sum::<f64>() / of_rank.len() as f64
+        };
+        (0..n).map(mean).collect()
     }
 }
 

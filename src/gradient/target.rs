@@ -1,20 +1,26 @@
-//! Where ranked samples should be: quantiles of the uniform density on the cube, projected.
+//! Where ranked samples should be: quantiles of the domain's density, projected.
 //!
 //! The target of rank i among n is the mean of the inverse CDF over [i/n, (i+1)/n] (supplement,
-//! Eq. 8). Along a direction with at most two components the density is a trapezoid and the mean
-//! has a closed form, written so that nothing cancels; along others it comes from tables.
+//! Eq. 8). Along a direction with at most two components the density of the cube is a trapezoid and
+//! the mean has a closed form, written so that nothing cancels; along others, and in other domains,
+//! it comes from tables.
 
 use std::f64;
 use std::sync::{Arc, OnceLock};
 
 use super::simd::{Isa, PLACES};
+use crate::domain::{Cdf, Domain, Symmetry};
 use crate::draw::{Density, Direction, DirectionSet};
 use crate::tile::MAX_DIMS;
 
-/// Targets along the directions of a tile's dimensions.
+/// Targets along the directions of a tile's domain.
 #[derive(Debug, Clone)]
 pub struct Targets {
     dims: usize,
+    /// Whether tables count from the middle of the cube on, not from the lower end of a projection.
+    centred: bool,
+    /// Whether a projection's distribution may be other than its mirror image.
+    skewed: bool,
     /// For every direction of the fixed set.
     tables: Arc<[Table]>,
     /// Means of √u over [i, i + 1].
@@ -24,8 +30,9 @@ pub struct Targets {
 /// The quantiles along one direction.
 #[derive(Debug)]
 struct Table {
-    /// Magnitudes of its components.
-    magnitudes: Vec<f32>,
+    /// What is projected, and on which direction.
+    domain: Domain,
+    theta: Vec<f32>,
     /// The integral of the inverse CDF from 0 to j/[`NODES`], j = 0..=NODES.
     integrals: Vec<f64>,
     /// The CDF that it is made from, for subsets of more samples than there are nodes.
@@ -35,23 +42,29 @@ struct Table {
 /// Intervals of a table.
 pub(super) const NODES: usize = 2048;
 
-/// Intervals of the CDF that a table is made from.
-pub(super) const GRID: usize = 4 * NODES;
-
-/// Tables of every number of dimensions that was asked for: they depend on nothing else, and take
-/// a tenth of a second and some megabytes.
-static TABLES: [OnceLock<Arc<[Table]>>; MAX_DIMS + 1] = [const { OnceLock::new() }; MAX_DIMS + 1];
+/// Tables of every domain and every number of dimensions that was asked for: they depend on nothing
+/// else, and take a tenth of a second and some megabytes.
+static TABLES: [[OnceLock<Arc<[Table]>>; MAX_DIMS + 1]; Domain::ALL.len()] =
+    [const { [const { OnceLock::new() }; MAX_DIMS + 1] }; Domain::ALL.len()];
 
 impl Targets {
     /// Tables for the directions of `set`.
     pub fn new(set: &DirectionSet) -> Self {
-        let dims = set.dims();
-        let table = |magnitudes: &[f32; MAX_DIMS]| Table::new(&magnitudes[..dims]);
-        let tables = TABLES[dims].get_or_init(|| set.magnitudes().iter().map(table).collect());
-        Self { dims, tables: tables.clone(), root_means: root_means(1024) }
+        let (domain, dims) = (set.domain(), set.dims());
+        let table = |theta: &[f32; MAX_DIMS]| Table::new(domain, &theta[..dims]);
+        let all = || set.representatives().iter().map(table).collect();
+        let tables = TABLES[domain.number()][dims].get_or_init(all).clone();
+        let (centred, skewed) = (!domain.is_square(), domain.symmetry() == Symmetry::Axial);
+        Self { dims, centred, skewed, tables, root_means: root_means(1024) }
     }
 
-    /// The inverse CDF along `direction` at `u` in [0, 1], counted from its lower end.
+    /// Lowest projection of a point of the domain, and how far above it the highest one may be.
+    pub fn extent(&self, direction: &Direction) -> (f32, f32) {
+        let (low, length) = direction.extent(self.dims);
+        if self.centred { (low + 0.5 * length - 0.5, 1.0) } else { (low, length) }
+    }
+
+    /// The inverse CDF along `direction` at `u` in [0, 1], counted from the start of its extent.
     pub fn quantile(&self, direction: &Direction, u: f64) -> f64 {
         match direction.density {
             Density::Trapezoid => {
@@ -64,11 +77,13 @@ impl Targets {
                 };
                 if u <= 0.5 { half(u) } else { a + b - half(1.0 - u) }
             }
+            Density::Uniform => u,
             Density::Table { index } => {
                 let table = &self.tables[index as usize].integrals;
                 let (low, high) =
                     ((u - 0.5 / NODES as f64).max(0.0), (u + 0.5 / NODES as f64).min(1.0));
-                (integral(table, high) - integral(table, low)) / (high - low)
+                let mean = (integral(table, high) - integral(table, low)) / (high - low);
+                if self.centred { mean + 0.5 } else { mean }
             }
         }
     }
@@ -94,31 +109,61 @@ impl Targets {
                 }
                 trapezoid(a, b, low, &self.root_means, targets);
             }
+            Density::Uniform => {
+                let (low, _) = self.extent(direction);
+                trapezoid(1.0, 0.0, low, &self.root_means, targets);
+            }
+            Density::Table { index } if self.skewed => {
+                let n = targets.len();
+                let integrals = self.integrals(isa, index, n, n, integrals);
+                let (low, length) = self.extent(direction);
+                let middle = low + 0.5 * length;
+                for (target, ends) in targets.iter_mut().zip(integrals.windows(2)) {
+                    *target = middle + ((ends[1] - ends[0]) * n as f64) as f32;
+                }
+            }
             Density::Table { index } => {
                 // The distribution is symmetric, so one half of the targets gives the other.
+                let (low, length) = self.extent(direction);
+                // From where on the table counts.
+                let origin = if self.centred { low + 0.5 * length } else { low };
                 let (n, half) = (targets.len(), targets.len().div_ceil(2));
-                let places = (half + 1).next_multiple_of(PLACES);
-                if integrals.len() < places {
-                    integrals.resize(places, 0.0);
-                }
-                let integrals = &mut integrals[..places];
-                let table = &self.tables[index as usize];
-                if n <= NODES {
-                    isa.interpolate(&table.integrals, NODES as f64 / n as f64, integrals);
-                } else {
-                    table.integrate(n, integrals);
-                }
+                let integrals = self.integrals(isa, index, n, half, integrals);
                 let (front, back) = targets.split_at_mut(half);
                 for (target, ends) in front.iter_mut().zip(integrals.windows(2)) {
                     *target = ((ends[1] - ends[0]) * n as f64) as f32;
                 }
-                let (_, length) = direction.extent(self.dims);
+                let length = if self.centred { 0.0 } else { length };
                 for (target, mirror) in back.iter_mut().rev().zip(&*front) {
-                    *target = (length - mirror) + low;
+                    *target = (length - mirror) + origin;
                 }
-                front.iter_mut().for_each(|target| *target += low);
+                front.iter_mut().for_each(|target| *target += origin);
             }
         }
+    }
+
+    /// The integral of the inverse CDF from 0 to i/n for i up to `last` at least, in scratch.
+    #[inline(always)]
+    fn integrals<'a, I: Isa>(
+        &self,
+        isa: I,
+        index: u32,
+        n: usize,
+        last: usize,
+        scratch: &'a mut Vec<f64>,
+    ) -> &'a [f64] {
+        let places = (last + 1).next_multiple_of(PLACES);
+        if scratch.len() < places {
+            scratch.resize(places, 0.0);
+        }
+        let integrals = &mut scratch[..places];
+        let table = &self.tables[index as usize];
+        if n <= NODES {
+            isa.interpolate(&table.integrals, NODES as f64 / n as f64, integrals);
+        } else {
+            table.integrate(n, integrals);
+        }
+        integrals
     }
 }
 
@@ -183,83 +228,19 @@ fn root_means(count: u32) -> Vec<f32> {
 }
 
 impl Table {
-    /// For Σ mₖ·uₖ.
-    fn new(magnitudes: &[f32]) -> Self {
+    /// Of a domain along a direction.
+    fn new(domain: Domain, theta: &[f32]) -> Self {
         let mut integrals = vec![0.0; NODES + 1];
-        Cdf::new(magnitudes).integrate_inverse(NODES, &mut integrals);
-        Self { magnitudes: magnitudes.to_vec(), integrals, cdf: OnceLock::new() }
+        domain.cdf(theta).integrate_inverse(NODES, &mut integrals);
+        let theta = theta.to_vec();
+        Self { domain, theta, integrals, cdf: OnceLock::new() }
     }
 
     /// The integral of the inverse CDF from 0 to i/n, for every i that there is a place for.
     #[cold]
     #[inline(never)]
     fn integrate(&self, n: usize, integrals: &mut [f64]) {
-        self.cdf.get_or_init(|| Cdf::new(&self.magnitudes)).integrate_inverse(n, integrals);
-    }
-}
-
-/// The CDF of a sum of uniform numbers, on a grid over its range and linear in between.
-#[derive(Debug)]
-struct Cdf {
-    /// Distance of two nodes.
-    step: f64,
-    /// At node i, i = 0..=[`GRID`].
-    values: Vec<f64>,
-}
-
-impl Cdf {
-    /// For Σ mₖ·uₖ.
-    ///
-    /// It is built by adding one at a time, Fₖ(x) = (1/m) ∫ Fₖ₋₁ over [x − m, x], with exact
-    /// integrals of the piecewise linear Fₖ₋₁. Components too small to span a cell of the grid shift
-    /// the mean only.
-    fn new(magnitudes: &[f32]) -> Self {
-        let mut parts: Vec<f64> = magnitudes.iter().map(|&m| f64::from(m)).collect();
-        parts.sort_by(|a, b| b.total_cmp(a));
-        let length: f64 = parts.iter().sum();
-        let step = length / GRID as f64;
-        let mut cdf: Vec<f64> = (0..=GRID).map(|i| (i as f64 * step / parts[0]).min(1.0)).collect();
-        let mut integral = vec![0.0; GRID + 1];
-        for &part in parts[1..].iter().filter(|&&part| part > 0.0) {
-            for i in 0..GRID {
-                integral[i + 1] = integral[i] + 0.5 * step * (cdf[i] + cdf[i + 1]);
-            }
-            // ∫ of the piecewise linear CDF from 0 to x.
-            let upto = |x: f64| {
-                let place = (x / step).max(0.0);
-                let i = (place as usize).min(GRID - 1);
-                let f = place - i as f64;
-                integral[i] + step * f * (cdf[i] + 0.5 * f * (cdf[i + 1] - cdf[i]))
-            };
-            let next: Vec<f64> = (0..=GRID)
-                .map(|i| {
-                    let x = i as f64 * step;
-                    ((upto(x) - upto(x - part)) / part).clamp(0.0, 1.0)
-                })
-                .collect();
-            cdf = next;
-        }
-        cdf[GRID] = 1.0;
-        Self { step, values: cdf }
-    }
-
-    /// The integral of the inverse from 0 to i/n, for every i that there is a place for.
-    fn integrate_inverse(&self, n: usize, integrals: &mut [f64]) {
-        // ∫₀ᵘ F⁻¹ = u·x − ∫₀ˣ F at F(x) = u (Young), with x found in the grid.
-        let Self { step, values: cdf } = self;
-        let mut below = 0.0;
-        let mut i = 0;
-        for (node, place) in integrals.iter_mut().enumerate() {
-            let u = node as f64 / n as f64;
-            while i + 1 < GRID && cdf[i + 1] < u {
-                below += 0.5 * step * (cdf[i] + cdf[i + 1]);
-                i += 1;
-            }
-            let rise = cdf[i + 1] - cdf[i];
-            let f = if rise > 0.0 { ((u - cdf[i]) / rise).clamp(0.0, 1.0) } else { 0.0 };
-            let x = (i as f64 + f) * step;
-            *place = u * x - below - step * f * (cdf[i] + 0.5 * f * rise);
-        }
+        self.cdf.get_or_init(|| self.domain.cdf(&self.theta)).integrate_inverse(n, integrals);
     }
 }
 
@@ -292,7 +273,7 @@ mod tests {
     #[test]
     fn means_of_quantiles_are_targets() {
         for dims in [1, 2, 3, 7] {
-            let set = DirectionSet::new(dims);
+            let set = DirectionSet::new(Domain::Square, dims);
             let all = Targets::new(&set);
             let mut stream = Stream::new(9, Use::Directions, 0, 0);
             for u in [0.1, 0.6] {
@@ -311,7 +292,7 @@ mod tests {
 
     #[test]
     fn an_axis_has_equally_spaced_targets() {
-        let set = DirectionSet::new(2);
+        let set = DirectionSet::new(Domain::Square, 2);
         let mut targets = vec![0.0; 5];
         Targets::new(&set).fill(Plain, &set.axis(1), &mut Vec::new(), &mut targets);
         for (target, expected) in targets.into_iter().zip([0.1, 0.3, 0.5, 0.7, 0.9]) {
@@ -321,7 +302,7 @@ mod tests {
 
     #[test]
     fn mirrored_directions_have_mirrored_targets() {
-        let set = DirectionSet::new(2);
+        let set = DirectionSet::new(Domain::Square, 2);
         let targets = Targets::new(&set);
         let mut direction = set.pair(0, 1, 0.2);
         let mut forward = vec![0.0; 7];
@@ -337,7 +318,7 @@ mod tests {
     #[test]
     fn tables_equal_sorted_projections() {
         for dims in [3, 5, 16] {
-            let set = DirectionSet::new(dims);
+            let set = DirectionSet::new(Domain::Square, dims);
             let targets = Targets::new(&set);
             let mut stream = Stream::new(3, Use::Directions, 0, 0);
             for u in [0.0, 0.3, 0.77] {
@@ -367,7 +348,7 @@ mod tests {
     fn tables_have_the_targets_of_the_exact_cdf_for_subsets_of_any_size() {
         for (dims, sizes) in [(3, &[1, 60, 2048, 2049, 4096, 50_000][..]), (6, &[4096]), (8, &[60])]
         {
-            let set = DirectionSet::new(dims);
+            let set = DirectionSet::new(Domain::Square, dims);
             let targets = Targets::new(&set);
             let mut stream = Stream::new(5, Use::Directions, 0, 0);
             for (&n, u) in sizes.iter().flat_map(|n| [0.0, 0.4, 0.9].map(|u| (n, u))) {
@@ -388,8 +369,14 @@ mod tests {
     #[test]
     fn a_table_of_two_components_equals_the_trapezoid() {
         let (a, b) = (0.8_f32, 0.6_f32);
-        let tables = Arc::new([Table::new(&[a, b])]);
-        let targets = Targets { dims: 3, tables, root_means: root_means(1024) };
+        let tables = Arc::new([Table::new(Domain::Square, &[a, b])]);
+        let targets = Targets {
+            dims: 3,
+            centred: false,
+            skewed: false,
+            tables,
+            root_means: root_means(1024),
+        };
         let mut theta = [0.0; MAX_DIMS];
         (theta[0], theta[2]) = (b, a);
         for n in [1, 4, 61, 1000] {

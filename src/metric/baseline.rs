@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::split_mix::{hash, mix};
+use crate::domain::Domain;
 use crate::tile::{MAX_DIMS, Tile, TileShape};
 
 /// Bits of a coordinate: all that `f32` can hold at equal spacing in `[0, 1)`.
@@ -52,6 +53,18 @@ impl fmt::Display for Baseline {
 }
 
 impl Baseline {
+    /// Makes the tile of a domain that belongs to a seed: that of its places, mapped.
+    ///
+    /// # Panics
+    /// If the domain does not go with the shape.
+    pub fn tile_of(self, domain: Domain, shape: TileShape, seed: u64) -> Tile {
+        let parameters = domain.parameters(shape.dims());
+        let [width, height, frames] = [shape.width(), shape.height(), shape.frames()];
+        let places = TileShape::new(width, height, frames, shape.spp(), parameters);
+        let places = self.tile(places.expect("a size within limits"), seed);
+        domain.map(&places).expect("as many numbers as place a point")
+    }
+
     /// Makes the tile that belongs to a seed, the same on every machine.
     pub fn tile(self, shape: TileShape, seed: u64) -> Tile {
         let (spp, dims) = (shape.spp(), shape.dims());

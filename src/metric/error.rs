@@ -2,6 +2,7 @@
 
 use thiserror::Error;
 
+use crate::domain::DomainError;
 use crate::kernel::KernelError;
 use crate::tile::TileShape;
 
@@ -14,6 +15,9 @@ pub enum ScoreError {
     /// The kernel cannot be made for the tile.
     #[error(transparent)]
     Spec(#[from] KernelError),
+    /// The samples are not of the domain.
+    #[error(transparent)]
+    Domain(#[from] DomainError),
     /// The kernel is wider than the tile.
     #[error(
         "the kernel spans {extent} in {axis}, but the tile only {size}: it must not be wider than the tile"

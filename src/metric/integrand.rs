@@ -1,6 +1,6 @@
 //! The integrands on which tiles are scored: five classes, drawn from a set number.
 //!
-//! An integrand is a function of (set, class, domain, number) alone, the same on every machine,
+//! An integrand is a function of (domain, set, class, coordinates, number) alone, the same on every machine,
 //! and comes with its exact integral and variance. Scores move by 10 % and more with the set, so
 //! tiles are compared on one set, and on sets that nothing was tuned on.
 
@@ -11,6 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use super::exact::{self, Balls};
 use super::split_mix::SplitMix;
+use crate::domain::Domain;
 use crate::tile::Tile;
 
 /// Integrands with less variance than this over the cube are drawn again, half-spaces that miss
@@ -38,6 +39,13 @@ pub enum Class {
 impl Class {
     /// All classes, in the order in which scores list them.
     pub const ALL: [Self; 5] = [Self::Linear, Self::Edge, Self::AxisEdge, Self::Bump, Self::Disk];
+    const ROUND: [Self; 4] = [Self::Linear, Self::Edge, Self::Bump, Self::Disk];
+
+    /// The classes of a domain. The axes of a round one are directions like others, whose half-spaces
+    /// are among the edges.
+    pub fn of(domain: Domain) -> &'static [Self] {
+        if domain.is_square() { &Self::ALL } else { &Self::ROUND }
+    }
 }
 
 /// The name that tables show: `linear`, `edge`, `axis edge`, `bump`, `disk`.
@@ -56,17 +64,17 @@ impl fmt::Display for Class {
 /// Which coordinates of a sample the integrands of a column read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Domain {
+pub enum Coordinates {
     /// All of them.
     All,
     /// A random pair for each integrand.
     Pairs,
 }
 
-impl Domain {
-    /// The domains in which samples of `dims` dimensions are scored: pairs only above two.
-    pub fn of(dims: usize) -> &'static [Self] {
-        if dims > 2 { &[Self::All, Self::Pairs] } else { &[Self::All] }
+impl Coordinates {
+    /// What integrands for samples of `dims` dimensions read: pairs only above two, in a cube.
+    pub fn of(domain: Domain, dims: usize) -> &'static [Self] {
+        if dims > 2 && domain.is_square() { &[Self::All, Self::Pairs] } else { &[Self::All] }
     }
 }
 
@@ -101,32 +109,37 @@ pub struct Integrand {
 }
 
 impl Integrand {
-    /// Draws number `index` of a class in a set, for samples of `dims` dimensions.
+    /// Draws number `index` of a class in a set, for samples of a domain in `dims` dimensions.
     ///
     /// Above two dimensions the widths of bumps and disks grow with √(dims/2), as the diagonal of
     /// the cube does; otherwise they would hold next to nothing of it (a ball of radius ½ holds
     /// 4·10⁻⁶ of the cube of 16 dimensions).
     fn draw(
-        balls: &Balls,
+        (domain, balls): (Domain, &Balls),
         set: u64,
         class: Class,
-        domain: Domain,
+        coordinates: Coordinates,
         dims: usize,
         index: usize,
     ) -> Self {
-        let key = [set, class as u64, domain as u64, dims as u64, index as u64];
+        let key = [set, class as u64, coordinates as u64, dims as u64, index as u64];
         let mut stream = SplitMix::new(&key);
         // Every class has a fixed chance of at least a tenth to pass, so this ends.
         loop {
-            let coordinates = match domain {
-                Domain::All => (0..dims).collect(),
-                Domain::Pairs => {
+            let dims = match coordinates {
+                Coordinates::All => (0..dims).collect(),
+                Coordinates::Pairs => {
                     let first = stream.below(dims);
                     let second = (first + 1 + stream.below(dims - 1)) % dims;
                     vec![first, second]
                 }
             };
-            if let Some(integrand) = Self::attempt(balls, &mut stream, class, coordinates)
+            let integrand = if domain.is_square() {
+                Self::attempt(balls, &mut stream, class, dims)
+            } else {
+                Some(Self::in_domain(domain, &mut stream, class, dims))
+            };
+            if let Some(integrand) = integrand
                 && integrand.variance >= LEAST_VARIANCE
             {
                 return integrand;
@@ -180,6 +193,52 @@ impl Integrand {
             }
         };
         Some(Self { dims, form, integral, variance })
+    }
+
+    /// One of a domain whose shares of half-spaces and balls are known: the classes of the square, with
+    /// the domain's points where that has points, and all half-spaces as they are cut.
+    fn in_domain(domain: Domain, stream: &mut SplitMix, class: Class, dims: Vec<usize>) -> Self {
+        let n = dims.len();
+        let indicator = |share: f64| (share, share * (1.0 - share));
+        let point = |stream: &mut SplitMix| -> Vec<f64> {
+            let mut point = vec![0.0; n];
+            domain.point(&stream.point(domain.parameters(n)), &mut point);
+            point.into_iter().map(f64::from).collect()
+        };
+        let half_space = |normal: Vec<f64>, through: Vec<f64>| {
+            let offset = normal.iter().zip(&through).map(|(a, x)| a * x).sum();
+            let share = 1.0 - domain.below(&normal, offset);
+            (Form::HalfSpace { normal, offset }, indicator(share))
+        };
+        let (form, (integral, variance)) = match class {
+            Class::Linear => {
+                let direction = stream.direction(n);
+                let moments = domain.moments(n);
+                let along = || direction.iter().zip(&moments);
+                let mean = along().map(|(a, (mean, _))| a * mean).sum();
+                let variance = along().map(|(a, (_, variance))| a * a * variance).sum();
+                (Form::Linear { direction }, (mean, variance))
+            }
+            Class::Edge | Class::AxisEdge => {
+                let normal = stream.direction(n);
+                half_space(normal, point(stream))
+            }
+            Class::Bump => {
+                let centre = point(stream);
+                let sigma = stream.range(0.1, 0.25);
+                let mean = gaussian_in(domain, &centre, sigma);
+                let square = gaussian_in(domain, &centre, sigma / std::f64::consts::SQRT_2);
+                let scale = 1.0 / (2.0 * sigma * sigma);
+                (Form::Gaussian { centre, scale }, (mean, square - mean * mean))
+            }
+            Class::Disk => {
+                let centre = point(stream);
+                let radius = stream.range(0.2, 0.5);
+                let share = domain.within(&centre, radius);
+                (Form::Ball { centre, squared_radius: radius * radius }, indicator(share))
+            }
+        };
+        Self { dims, form, integral, variance }
     }
 
     /// Which coordinates of a sample the function reads.
@@ -264,6 +323,22 @@ impl Integrand {
     }
 }
 
+/// The mean over a domain of exp(−|x − centre|² / 2σ²): its values on rings, by the shares of these.
+fn gaussian_in(domain: Domain, centre: &[f64], sigma: f64) -> f64 {
+    /// Rings up to the domain's diameter of 1. Halving them changes no mean by 10⁻⁷.
+    const RINGS: usize = 4096;
+    let mut sum = 0.0;
+    let (mut inner, mut within) = (1.0, 0.0);
+    for ring in 1..=RINGS {
+        let distance = ring as f64 / RINGS as f64;
+        let outer = libm::exp(-0.5 * (distance / sigma) * (distance / sigma));
+        let share = domain.within(centre, distance);
+        sum += 0.5 * (inner + outer) * (share - within);
+        (inner, within) = (outer, share);
+    }
+    sum
+}
+
 /// Σ direction·point over the chosen coordinates; two of them, the usual case, without a loop.
 #[inline(always)]
 fn dot(point: &[f32], dims: &[usize], direction: &[f64]) -> f64 {
@@ -286,30 +361,32 @@ fn squared_distance(point: &[f32], dims: &[usize], centre: &[f64]) -> f64 {
     }
 }
 
-/// The integrands of one column of a table: one class in one domain.
+/// The integrands of one column of a table: one class that reads all coordinates or pairs.
 #[derive(Debug, Clone, PartialEq)]
 pub struct IntegrandSet {
     /// Their class.
     pub class: Class,
     /// Which coordinates they read.
-    pub domain: Domain,
+    pub coordinates: Coordinates,
     /// The functions.
     pub integrands: Vec<Integrand>,
 }
 
-/// All integrands of set number `set` for samples of `dims` dimensions (1 and more), `count` of
-/// each class in each domain.
-pub fn integrand_sets(set: u64, dims: usize, count: usize) -> Vec<IntegrandSet> {
+/// All integrands of set number `set` for samples of a domain in `dims` dimensions, `count` of
+/// each class that reads all coordinates, and of each that reads pairs.
+pub fn integrand_sets(domain: Domain, set: u64, dims: usize, count: usize) -> Vec<IntegrandSet> {
     let balls = Balls::new();
-    Domain::of(dims)
+    Coordinates::of(domain, dims)
         .iter()
-        .flat_map(|&domain| Class::ALL.map(|class| (class, domain)))
-        .map(|(class, domain)| IntegrandSet {
+        .flat_map(|&coordinates| Class::of(domain).iter().map(move |&class| (class, coordinates)))
+        .map(|(class, coordinates)| IntegrandSet {
             class,
-            domain,
+            coordinates,
             integrands: (0..count)
                 .into_par_iter()
-                .map(|index| Integrand::draw(&balls, set, class, domain, dims, index))
+                .map(|index| {
+                    Integrand::draw((domain, &balls), set, class, coordinates, dims, index)
+                })
                 .collect(),
         })
         .collect()
@@ -327,7 +404,7 @@ mod tests {
             let shape = TileShape::new(256, 1, 64, 1, dims).unwrap();
             let tile = Baseline::Sobol.tile(shape, 1);
             let n = shape.samples() as f64;
-            for set in integrand_sets(11, dims, 6) {
+            for set in integrand_sets(Domain::Square, 11, dims, 6) {
                 for f in &set.integrands {
                     let (mut sum, mut squares, mut largest) = (0.0, 0.0, 0.0_f64);
                     for point in tile.samples().chunks_exact(dims) {
@@ -350,11 +427,34 @@ mod tests {
     }
 
     #[test]
+    fn integrals_in_other_domains_are_means_over_their_points() {
+        for domain in Domain::ALL.into_iter().filter(|domain| !domain.is_square()) {
+            let dims = domain.dims().unwrap();
+            let shape = TileShape::new(256, 1, 256, 1, dims).unwrap();
+            let tile = Baseline::Sobol.tile_of(domain, shape, 1);
+            let n = shape.samples() as f64;
+            let sets = integrand_sets(domain, 11, dims, 12);
+            assert_eq!(sets.len(), 4, "{domain}");
+            for f in sets.iter().flat_map(|set| &set.integrands) {
+                let values = || tile.samples().chunks_exact(dims).map(|point| f.at(point));
+                let mean = values().sum::<f64>() / n;
+                let square = values().map(|value| value * value).sum::<f64>() / n;
+                let bound = 3.5 * (f.variance() / n).sqrt();
+                assert!((mean - f.integral()).abs() < bound, "{domain} {f:?}: {mean}");
+                let error = square - mean * mean - f.variance();
+                assert!(error.abs() < 8.0 * bound, "{domain} {f:?}: {error}");
+            }
+        }
+    }
+
+    #[test]
     fn errors_are_means_over_the_samples_of_a_pixel() {
         for (spp, dims) in [(1, 2), (3, 3)] {
             let shape = TileShape::new(5, 4, 2, spp, dims).unwrap();
             let tile = Baseline::White.tile(shape, 2);
-            for f in integrand_sets(1, dims, 2).iter().flat_map(|set| &set.integrands) {
+            for f in
+                integrand_sets(Domain::Square, 1, dims, 2).iter().flat_map(|set| &set.integrands)
+            {
                 let mut errors = vec![0.0; shape.pixels()];
                 let bias = f.errors(&tile, &mut errors);
                 let mut total = 0.0;
@@ -374,7 +474,7 @@ mod tests {
 
     #[test]
     fn sets_are_functions_of_their_number() {
-        let set = |number, count| integrand_sets(number, 3, count);
+        let set = |number, count| integrand_sets(Domain::Square, number, 3, count);
         let (a, b) = (set(1, 4), set(1, 8));
         for (few, many) in a.iter().zip(&b) {
             assert_eq!(few.integrands[..], many.integrands[..4]);
@@ -387,7 +487,10 @@ mod tests {
     #[test]
     fn pairs_are_of_two_different_dimensions_and_reach_all() {
         let mut seen = [[false; 4]; 4];
-        for set in integrand_sets(5, 4, 64).iter().filter(|set| set.domain == Domain::Pairs) {
+        for set in integrand_sets(Domain::Square, 5, 4, 64)
+            .iter()
+            .filter(|set| set.coordinates == Coordinates::Pairs)
+        {
             for f in set.integrands.iter().filter(|f| f.dims().len() == 2) {
                 seen[f.dims()[0]][f.dims()[1]] = true;
             }
@@ -409,7 +512,7 @@ mod tests {
             0.14974661116556487,
             0.1786746646105618,
         ];
-        for (set, integral) in integrand_sets(0, 2, 1).iter().zip(published) {
+        for (set, integral) in integrand_sets(Domain::Square, 0, 2, 1).iter().zip(published) {
             let found = set.integrands[0].integral();
             assert!((found - integral).abs() < 1e-14, "{}: {found}", set.class);
         }

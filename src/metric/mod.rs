@@ -28,7 +28,7 @@ pub use accumulation::accumulated_mean_square;
 pub use baseline::{Baseline, UnknownBaseline};
 pub use error::ScoreError;
 pub use figure::{digits, figure, ratio};
-pub use integrand::{Class, Domain, Integrand, IntegrandSet, LEAST_VARIANCE, integrand_sets};
+pub use integrand::{Class, Coordinates, Integrand, IntegrandSet, LEAST_VARIANCE, integrand_sets};
 pub use perceived::{MeanSquares, Perceived, PerceivedWorkspace};
 pub use quantization::quantized;
 pub use scored_tile::{ScoredTile, ShownScore};

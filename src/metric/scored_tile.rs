@@ -51,10 +51,12 @@ impl ScoredTile {
             scored();
             scores
         };
+        // What reads a vector makes it one of length 1 again.
+        let rounded = |bits| options.domain.adopt(&quantized(tile, bits));
         Ok(Self {
             scores: score(tile)?,
-            after_8_bits: score(&quantized(tile, 8))?,
-            after_16_bits: score(&quantized(tile, 16))?,
+            after_8_bits: score(&rounded(8)?)?,
+            after_16_bits: score(&rounded(16)?)?,
             spectra: with_spectra.then(|| spectra(tile, options)).transpose()?,
             name,
             path,
@@ -132,7 +134,7 @@ mod tests {
     use glam::IVec3;
 
     use super::super::baseline::Baseline;
-    use super::super::integrand::{Class, Domain};
+    use super::super::integrand::{Class, Coordinates};
     use super::*;
     use crate::kernel::Tap;
 
@@ -142,12 +144,12 @@ mod tests {
         let taps = [0, 1].map(|x| Tap { offset: IVec3::new(x, 0, 0), weight: 1.0 });
         let taps = KernelTaps::new(taps).unwrap();
         let tile = Baseline::White.tile(shape, 1);
-        let options = ScoreOptions { set: 1, integrands: 2 };
+        let options = ScoreOptions { set: 1, integrands: 2, ..ScoreOptions::default() };
         let entry = ScoredTile::of("a".into(), None, &tile, &taps, options, false, || ()).unwrap();
         let json = serde_json::to_value(&entry).unwrap();
         for part in ShownScore::ALL {
             let scores = (part.scores)(&entry);
-            let edge = scores.class(Class::Edge, Domain::All).unwrap();
+            let edge = scores.class(Class::Edge, Coordinates::All).unwrap();
             let place = scores.classes.iter().position(|class| class == edge).unwrap();
             let pointer = format!("/{}/classes/{place}/{}/mean", part.field, part.measure);
             let mean = (part.ratio)(edge).unwrap().mean;

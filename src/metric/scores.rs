@@ -16,9 +16,10 @@ use serde::{Deserialize, Serialize};
 use super::accumulation::accumulated_mean_square;
 use super::error::{MOST_INTEGRANDS, ScoreError};
 use super::figure::{figure, ratio};
-use super::integrand::{Class, Domain, Integrand, IntegrandSet, integrand_sets};
+use super::integrand::{Class, Coordinates, Integrand, IntegrandSet, integrand_sets};
 use super::perceived::Perceived;
 use super::uniformity::{Histogram, histogram, residual};
+use crate::domain::Domain;
 use crate::kernel::{KernelSpec, KernelTaps};
 use crate::tile::{Tile, TileShape};
 
@@ -26,6 +27,8 @@ use crate::tile::{Tile, TileShape};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct ScoreOptions {
+    /// Where the tile's samples live; default the square.
+    pub domain: Domain,
     /// Number of the set of integrands; default 0. Compare tiles only on the same set.
     pub set: u64,
     /// Integrands of each class, 1–65536; default 256. Fewer are quicker and less certain.
@@ -34,7 +37,7 @@ pub struct ScoreOptions {
 
 impl Default for ScoreOptions {
     fn default() -> Self {
-        Self { set: 0, integrands: 256 }
+        Self { domain: Domain::Square, set: 0, integrands: 256 }
     }
 }
 
@@ -81,7 +84,7 @@ pub struct ClassScore {
     /// The class.
     pub class: Class,
     /// Which coordinates its integrands read.
-    pub domain: Domain,
+    pub coordinates: Coordinates,
     /// The perceived-error ratio: m = mean over pixels of (g*e)², w = Var f · Σg² / spp.
     pub perceived: Ratio,
     /// The error of each pixel's mean over half a period (n = ⌊frames/2⌋ frames, from every start):
@@ -104,13 +107,14 @@ pub struct ClassScore {
 pub struct Scores {
     /// The integrands that were used.
     pub options: ScoreOptions,
-    /// One score per domain and class.
+    /// One score for each class, and above two dimensions for each class that reads pairs.
     pub classes: Vec<ClassScore>,
     /// Bias·√N over all classes together: the rms of theirs, so that each counts alike.
     pub bias: f64,
-    /// How the whole tile fills the 16×16 cells of each pair of dimensions.
+    /// How the whole tile fills the 16×16 cells of each pair of dimensions; in other domains than the
+    /// square, 16×16 cells of equal area, or 16 arcs.
     pub histogram: Histogram,
-    /// Rms over pixels and dimensions of (mean over all frames − ½), relative to independent
+    /// Rms over pixels and dimensions of (mean over all frames − the domain's mean), relative to independent
     /// samples'.
     pub residual: f64,
 }
@@ -124,9 +128,9 @@ impl Scores {
         Scorer::new(tile.shape(), kernel, options)?.score(tile)
     }
 
-    /// The score of one class, if the tile has that domain.
-    pub fn class(&self, class: Class, domain: Domain) -> Option<&ClassScore> {
-        self.classes.iter().find(|score| score.class == class && score.domain == domain)
+    /// The score of one class, if the tile has that one.
+    pub fn class(&self, class: Class, coordinates: Coordinates) -> Option<&ClassScore> {
+        self.classes.iter().find(|score| score.class == class && score.coordinates == coordinates)
     }
 }
 
@@ -134,7 +138,7 @@ impl Scores {
 impl fmt::Display for Scores {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         for class in &self.classes {
-            let pairs = if class.domain == Domain::Pairs { ", pairs" } else { "" };
+            let pairs = if class.coordinates == Coordinates::Pairs { ", pairs" } else { "" };
             let name = format!("{}{pairs}", class.class);
             writeln!(f, "{name:22} {}", ratio(class.perceived))?;
         }
@@ -150,12 +154,12 @@ impl Tile {
     /// of [`ScoreOptions::default`], as the command does. [`Scores::of`] takes others.
     ///
     /// ```
-    /// use perceptile::metric::{Baseline, Class, Domain};
+    /// use perceptile::metric::{Baseline, Class, Coordinates};
     /// use perceptile::TileShape;
     ///
     /// let noise = Baseline::White.tile(TileShape::new(32, 32, 8, 1, 2)?, 1);
     /// let scores = noise.scores(&"gaussian(2.1) * ema(0.2) @ 7x7x8".parse()?)?;
-    /// let edges = scores.class(Class::Edge, Domain::All).expect("a class of every tile");
+    /// let edges = scores.class(Class::Edge, Coordinates::All).expect("a class of every tile");
     /// assert!((edges.perceived.mean - 1.0).abs() < 0.2, "white noise has 1, lower is better");
     /// # Ok::<(), Box<dyn std::error::Error>>(())
     /// ```
@@ -198,7 +202,8 @@ impl Scorer {
     ) -> Result<Self, ScoreError> {
         options.validate()?;
         let perceived = Perceived::new(shape, kernel)?;
-        let sets = integrand_sets(options.set, shape.dims(), options.integrands);
+        options.domain.check(shape.dims())?;
+        let sets = integrand_sets(options.domain, options.set, shape.dims(), options.integrands);
         Ok(Self { options, perceived, sets })
     }
 
@@ -224,7 +229,7 @@ impl Scorer {
             biases += bias;
             classes.push(ClassScore {
                 class: set.class,
-                domain: set.domain,
+                coordinates: set.coordinates,
                 perceived: over(|m| m.perceived),
                 half_period: (half > 0).then(|| over(|m| m.half_period)),
                 whole_period: over(|m| m.whole_period),
@@ -232,13 +237,14 @@ impl Scorer {
                 bias: bias.sqrt(),
             });
         }
-        let residuals = residual(tile);
+        let domain = self.options.domain;
+        let residuals = residual(domain, tile);
         let square: f64 = residuals.iter().map(|r| r * r).sum();
         Ok(Scores {
             options: self.options,
             bias: (biases / classes.len() as f64).sqrt(),
             classes,
-            histogram: histogram(tile),
+            histogram: histogram(&domain.places(tile)),
             residual: (square / residuals.len() as f64).sqrt(),
         })
     }
@@ -282,7 +288,7 @@ mod tests {
     use super::*;
     use crate::kernel::Tap;
 
-    const FEW: ScoreOptions = ScoreOptions { set: 7, integrands: 24 };
+    const FEW: ScoreOptions = ScoreOptions { domain: Domain::Square, set: 7, integrands: 24 };
 
     fn kernel(weights: &[f64]) -> KernelTaps {
         let taps = weights.iter().enumerate().flat_map(|(t, &weight)| {
@@ -415,7 +421,7 @@ mod tests {
     fn wrong_numbers_and_shapes_are_refused() {
         let shape = TileShape::new(8, 8, 2, 1, 2).unwrap();
         for integrands in [0, 65_537] {
-            let options = ScoreOptions { set: 0, integrands };
+            let options = ScoreOptions { set: 0, integrands, ..ScoreOptions::default() };
             let error = Scorer::new(shape, &kernel(&[1.0]), options).err().unwrap();
             assert_eq!(error, ScoreError::Integrands(integrands));
         }
@@ -433,9 +439,10 @@ mod tests {
         assert!(text.contains("\"axis_edge\"") && text.contains("\"pairs\""), "{text}");
         let back: Scores = serde_json::from_str(&text).unwrap();
         assert_eq!(back.classes.len(), 10);
-        let bias = back.class(Class::Bump, Domain::Pairs).unwrap().bias;
+        let bias = back.class(Class::Bump, Coordinates::Pairs).unwrap().bias;
         assert!(
-            (bias / scores.class(Class::Bump, Domain::Pairs).unwrap().bias - 1.0).abs() < 1e-12
+            (bias / scores.class(Class::Bump, Coordinates::Pairs).unwrap().bias - 1.0).abs()
+                < 1e-12
         );
     }
 }

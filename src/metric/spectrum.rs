@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use super::error::ScoreError;
 use super::fourier::FieldTransform;
-use super::integrand::{Class, Domain, Integrand, integrand_sets};
+use super::integrand::{Class, Coordinates, Integrand, integrand_sets};
 use super::scores::ScoreOptions;
 use crate::tile::{Tile, TileShape};
 
@@ -47,7 +47,7 @@ pub struct ClassSpectra {
     /// The class.
     pub class: Class,
     /// Which coordinates its integrands read.
-    pub domain: Domain,
+    pub coordinates: Coordinates,
     /// Mean over all frames.
     pub xy: Spectrum,
     /// Mean over all rows of pixels; time is the second axis.
@@ -61,10 +61,11 @@ pub struct ClassSpectra {
 pub fn spectra(tile: &Tile, options: ScoreOptions) -> Result<Vec<ClassSpectra>, ScoreError> {
     options.validate()?;
     let shape = tile.shape();
+    options.domain.check(shape.dims())?;
     let (width, height, frames) = (shape.width(), shape.height(), shape.frames());
     let xy = SliceTransform::new(width, height);
     let xt = SliceTransform::new(width, frames);
-    let classes = integrand_sets(options.set, shape.dims(), options.integrands)
+    let classes = integrand_sets(options.domain, options.set, shape.dims(), options.integrands)
         .iter()
         .map(|set| {
             let mut sums = [vec![0.0; xy.len()], vec![0.0; xt.len()]];
@@ -87,7 +88,7 @@ pub fn spectra(tile: &Tile, options: ScoreOptions) -> Result<Vec<ClassSpectra>, 
             let [space, time] = &sums;
             ClassSpectra {
                 class: set.class,
-                domain: set.domain,
+                coordinates: set.coordinates,
                 xy: xy.spectrum(space),
                 xt: xt.spectrum(time),
             }
@@ -226,7 +227,7 @@ mod tests {
 
     #[test]
     fn white_noise_is_flat_and_a_constant_in_time_is_not() {
-        let options = ScoreOptions { set: 3, integrands: 16 };
+        let options = ScoreOptions { set: 3, integrands: 16, ..ScoreOptions::default() };
         let shape = TileShape::new(16, 12, 8, 2, 2).unwrap();
         let white = Baseline::White.tile(shape, 1);
         for class in spectra(&white, options).unwrap() {
@@ -254,7 +255,7 @@ mod tests {
     #[test]
     fn no_integrands_are_refused() {
         let tile = Baseline::White.tile(TileShape::new(4, 4, 1, 1, 1).unwrap(), 1);
-        let options = ScoreOptions { set: 0, integrands: 0 };
+        let options = ScoreOptions { set: 0, integrands: 0, ..ScoreOptions::default() };
         assert_eq!(spectra(&tile, options), Err(ScoreError::Integrands(0)));
     }
 }

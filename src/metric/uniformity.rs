@@ -6,6 +6,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::domain::Domain;
 use crate::tile::Tile;
 
 /// Cells per side of the histograms.
@@ -109,26 +110,28 @@ pub fn marginals(tile: &Tile, bins: usize) -> Vec<Vec<f64>> {
         .collect()
 }
 
-/// Per dimension: rms over the pixels of (mean over all frames and samples − ½), relative to that
-/// of independent samples, √(1 / (12 · frames · spp)).
-pub fn residual(tile: &Tile) -> Vec<f64> {
+/// Per dimension: rms over the pixels of (mean over all frames and samples − that of the domain, ½ for
+/// the square), relative to that of independent samples, √(variance / (frames · spp)), with a variance
+/// of 1/12 for the square.
+pub fn residual(domain: Domain, tile: &Tile) -> Vec<f64> {
     let shape = tile.shape();
     let (dims, spp) = (shape.dims(), shape.spp());
     let per_frame = shape.width() * shape.height();
+    let moments = domain.moments(dims);
     let mut sums = vec![0.0_f64; per_frame * dims];
     for frame in tile.samples().chunks_exact(per_frame * spp * dims) {
         for (pixel, sums) in frame.chunks_exact(spp * dims).zip(sums.chunks_exact_mut(dims)) {
             for point in pixel.chunks_exact(dims) {
-                sums.iter_mut().zip(point).for_each(|(sum, &x)| *sum += f64::from(x) - 0.5);
+                let sums = sums.iter_mut().zip(point).zip(&moments);
+                sums.for_each(|((sum, &x), (mean, _))| *sum += f64::from(x) - mean);
             }
         }
     }
     let samples = (shape.frames() * spp) as f64;
-    let expected = samples / 12.0;
     (0..dims)
         .map(|dim| {
             let square: f64 = sums.iter().skip(dim).step_by(dims).map(|sum| sum * sum).sum();
-            (square / per_frame as f64 / expected).sqrt()
+            (square / per_frame as f64 / (samples * moments[dim].1)).sqrt()
         })
         .collect()
 }
@@ -194,18 +197,18 @@ mod tests {
     #[test]
     fn residuals_are_relative_to_independent_samples() {
         let shape = TileShape::new(64, 64, 8, 2, 3).unwrap();
-        for residual in residual(&Baseline::White.tile(shape, 3)) {
+        for residual in residual(Domain::Square, &Baseline::White.tile(shape, 3)) {
             // 4096 pixels: a standard error of 1.1 %.
             assert!((residual - 1.0).abs() < 0.05, "{residual}");
         }
         // 16 samples of a pixel that stratify each dimension: the mean of 16 jittered strata has
         // a sixteenth of the standard deviation.
-        for residual in residual(&Baseline::Sobol.tile(shape, 3)) {
+        for residual in residual(Domain::Square, &Baseline::Sobol.tile(shape, 3)) {
             assert!((residual * 16.0 - 1.0).abs() < 0.05, "{residual}");
         }
         let shape = TileShape::new(2, 1, 3, 1, 1).unwrap();
         let still = Tile::new(shape, [0.75, 0.25].repeat(3)).unwrap();
         let expected = 0.25 * (12.0_f64 * 3.0).sqrt();
-        assert!((residual(&still)[0] - expected).abs() < 1e-12);
+        assert!((residual(Domain::Square, &still)[0] - expected).abs() < 1e-12);
     }
 }

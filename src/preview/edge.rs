@@ -154,6 +154,7 @@ impl<'a> PerceivedEdge<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::domain::Domain;
     use crate::kernel::KernelSpec;
     use crate::metric::{Class, integrand_sets};
 
@@ -163,7 +164,7 @@ mod tests {
     }
 
     fn edge(dims: usize) -> Integrand {
-        let mut sets = integrand_sets(0, dims, 1).into_iter();
+        let mut sets = integrand_sets(Domain::Square, 0, dims, 1).into_iter();
         sets.find(|set| set.class == Class::Edge).unwrap().integrands.remove(0)
     }
 

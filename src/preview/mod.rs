@@ -16,10 +16,11 @@ mod edge;
 mod font;
 mod spectrum;
 
+use crate::domain::Domain;
 use crate::format::picture::{Image, PREVIEW};
 use crate::format::png::Depth;
 use crate::kernel::{KernelTaps, Response};
-use crate::metric::{Class, Domain, Integrand, IntegrandSet, Scores, figure, integrand_sets};
+use crate::metric::{Class, Coordinates, Integrand, IntegrandSet, Scores, figure, integrand_sets};
 use crate::tile::TileShape;
 
 use canvas::{Canvas, LINE, Rgb};
@@ -86,10 +87,10 @@ impl Panel {
 }
 
 impl<'a> Preview<'a> {
-    /// Begins without a coordinate, for a tile of this shape behind this kernel.
-    pub fn new(shape: TileShape, taps: &'a KernelTaps) -> Self {
-        let mut sets = integrand_sets(0, shape.dims(), INTEGRANDS);
-        sets.retain(|set| set.domain == Domain::All);
+    /// Begins without a coordinate, for a tile of this domain and shape behind this kernel.
+    pub fn new((domain, shape): (Domain, TileShape), taps: &'a KernelTaps) -> Self {
+        let mut sets = integrand_sets(domain, 0, shape.dims(), INTEGRANDS);
+        sets.retain(|set| set.coordinates == Coordinates::All);
         let side = PerceivedEdge::affordable(SHOWN, shape, taps);
         let edge = PerceivedEdge::new(halving_edge(&sets).clone(), taps, shape, side);
         Self {
@@ -159,7 +160,7 @@ impl<'a> Preview<'a> {
     pub fn image(&self, scores: Option<&Scores>) -> Image {
         let shape = self.shape;
         let white = self.edge.of_white_noise(shape);
-        let score = scores.and_then(|scores| scores.class(Class::Edge, Domain::All));
+        let score = scores.and_then(|scores| scores.class(Class::Edge, Coordinates::All));
         let [of_white, of_tile] = match score {
             Some(score) => ["white noise, error 1".to_owned(), tile_label(score.perceived.mean)],
             None => ["white noise".to_owned(), "this tile".to_owned()],
@@ -283,7 +284,7 @@ mod tests {
     }
 
     fn drawn(tile: &Tile, taps: &KernelTaps, scores: Option<&Scores>) -> Image {
-        let mut preview = Preview::new(tile.shape(), taps);
+        let mut preview = Preview::new((Domain::Square, tile.shape()), taps);
         preview.take(tile.samples());
         preview.image(scores)
     }
@@ -344,7 +345,12 @@ mod tests {
         let shape = TileShape::new(16, 16, 4, 1, 2).unwrap();
         let tile = Baseline::White.tile(shape, 1);
         let taps = taps(KERNEL, shape);
-        let scores = Scores::of(&tile, &taps, ScoreOptions { set: 0, integrands: 4 }).unwrap();
+        let scores = Scores::of(
+            &tile,
+            &taps,
+            ScoreOptions { set: 0, integrands: 4, ..ScoreOptions::default() },
+        )
+        .unwrap();
         let [with, without] = [Some(&scores), None].map(|scores| drawn(&tile, &taps, scores));
         let ink = |picture: &Image, panel: usize| {
             let left = corner(panel)[0];
@@ -421,7 +427,7 @@ mod tests {
             let shape = TileShape::new(width, height, frames, spp, dims).unwrap();
             let tile = Baseline::White.tile(shape, 1);
             let taps = taps("box(2)", shape);
-            let mut pieces = Preview::new(shape, &taps);
+            let mut pieces = Preview::new((Domain::Square, shape), &taps);
             let mut rest = tile.samples();
             for &size in sizes.iter().cycle() {
                 let (piece, others) = rest.split_at(size.min(rest.len()));

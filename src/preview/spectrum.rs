@@ -141,6 +141,7 @@ fn transform(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::domain::Domain;
     use crate::metric::{Baseline, ScoreOptions, integrand_sets, spectra};
     use crate::tile::Tile;
 
@@ -165,9 +166,11 @@ mod tests {
         for (width, height, frames, spp) in [(12, 10, 3, 2), (1, 7, 1, 1), (16, 1, 2, 1)] {
             let shape = TileShape::new(width, height, frames, spp, 2).unwrap();
             let tile = Baseline::White.tile(shape, 3);
-            let sets = integrand_sets(0, 2, 4);
+            let sets = integrand_sets(Domain::Square, 0, 2, 4);
             let found = take(sets, &tile);
-            let expected = spectra(&tile, ScoreOptions { set: 0, integrands: 4 }).unwrap();
+            let expected =
+                spectra(&tile, ScoreOptions { set: 0, integrands: 4, ..ScoreOptions::default() })
+                    .unwrap();
             for (i, (row, column)) in
                 (0..height).flat_map(|y| (0..width).map(move |x| (y, x))).enumerate()
             {
@@ -182,7 +185,7 @@ mod tests {
     #[test]
     fn a_part_of_a_tile_keeps_the_power_of_white_noise() {
         let tile = Baseline::White.tile(TileShape::new(300, 200, 1, 1, 2).unwrap(), 1);
-        let sets = integrand_sets(0, 2, 4);
+        let sets = integrand_sets(Domain::Square, 0, 2, 4);
         let spectrum = take(sets, &tile);
         assert_eq!(spectrum.size(), [MOST; 2]);
         let all = (0..MOST).flat_map(|row| (0..MOST).map(move |column| (column, row)));
@@ -192,7 +195,7 @@ mod tests {
 
     #[test]
     fn many_samples_leave_one_frame() {
-        let sets = integrand_sets(0, 16, 8);
+        let sets = integrand_sets(Domain::Square, 0, 16, 8);
         let frames = |shape: TileShape| ErrorSpectrum::new(sets[..5].to_vec(), shape).frames();
         assert_eq!(frames(TileShape::new(64, 64, 16, 1, 16).unwrap()), FRAMES);
         assert_eq!(frames(TileShape::new(128, 128, 30, 64, 16).unwrap()), 1);

@@ -62,7 +62,7 @@ impl Subject {
         let levels = LevelSets::of(&kernel, options.shape.spp());
         let partition = Partition::new(options.shape, levels.reach());
         let runs = RunTables::new(&levels, options.shape.frames());
-        let draws = Draws::new(options.draw, options.seed, levels, options.shape.dims());
+        let draws = Draws::new(options.draw, options.seed, levels, options.directions());
         let quantum = Quantum::new(&draws, &partition).ok_or(OptionsError::Batch {
             draws: options.draw.draws,
             directions: options.draw.directions,
@@ -148,7 +148,12 @@ impl Subject {
 
     /// Samples to start from.
     pub fn start(&self) -> Samples {
-        start::random(&self.partition, Region::whole(self.options.shape), self.options.seed)
+        start::random(
+            self.options.domain,
+            &self.partition,
+            Region::whole(self.options.shape),
+            self.options.seed,
+        )
     }
 
     /// The descent itself, in a layout and with probes; to be called by a thread of the pool that

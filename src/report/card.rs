@@ -10,7 +10,8 @@ use super::samples::Crop;
 use crate::format::picture::Image;
 use crate::kernel::{KernelTaps, Response};
 use crate::metric::{
-    ClassSpectra, Domain, PairHistogram, Ring, ScoredTile, Spectrum, marginals, pair_histograms,
+    ClassSpectra, Coordinates, PairHistogram, Ring, ScoredTile, Spectrum, marginals,
+    pair_histograms,
 };
 use crate::tile::Tile;
 
@@ -80,8 +81,11 @@ impl Card {
             folder.picture(&file, picture)?;
             Ok(Shown { file, width: picture.width(), height: picture.height() })
         };
-        let part = Crop::of(tile.shape());
-        folder.write(&format!("tiles/{number}.js"), part.script(number, tile).as_bytes())?;
+        // What is shown as a function on the square, or counted in its cells, goes by places there.
+        let domain = entry.scores.options.domain;
+        let places = domain.places(tile);
+        let part = Crop::of(places.shape());
+        folder.write(&format!("tiles/{number}.js"), part.script(number, &places).as_bytes())?;
         // Their powers are not needed any more once they are drawn.
         let spectra = entry.spectra.take().unwrap_or_default();
         let window = |name: &str,
@@ -96,7 +100,7 @@ impl Card {
         let n = FREQUENCIES;
         let (xy, xy_rings) = window("xy", |class| &class.xy, Response::spatial(kernel, n, n))?;
         let (xt, xt_rings) = window("xt", |class| &class.xt, Response::space_time(kernel, n, n))?;
-        let pairs = pair_histograms(tile)
+        let pairs = pair_histograms(&places)
             .into_iter()
             .map(|pair| {
                 let (i, j) = pair.dims;
@@ -119,7 +123,7 @@ impl Card {
             rings: [rings(&title, &xy_rings), rings(&title, &xt_rings)],
             kernel_power: power_along_x(kernel),
             pairs,
-            marginals: marginals(tile, BINS).iter().enumerate().map(steps).collect(),
+            marginals: marginals(&places, BINS).iter().enumerate().map(steps).collect(),
             title,
             entry,
         })
@@ -129,7 +133,7 @@ impl Card {
 /// The mean over the classes of integrands that read all coordinates.
 fn mean(spectra: &[ClassSpectra], which: fn(&ClassSpectra) -> &Spectrum) -> Spectrum {
     let all: Vec<&Spectrum> =
-        spectra.iter().filter(|class| class.domain == Domain::All).map(which).collect();
+        spectra.iter().filter(|class| class.coordinates == Coordinates::All).map(which).collect();
     let count = all.len() as f64;
     let Some(first) = all.first() else {
         return Spectrum { width: 1, height: 1, power: vec![0.0], radial: Vec::new() };

@@ -4,10 +4,12 @@
 //! One sample per pixel costs a fraction of many, so the first sample is at its best soon; from there
 //! the descent of all has to go a short way only, in small steps. A shift by a step of an additive
 //! recurrence (the generalised golden ratio, Roberts 2018) leaves each further sample as good by
-//! itself, and spreads the samples of a pixel. At 32×32×16 and 16 samples, 3,000 steps from such a
+//! itself, and spreads the samples of a pixel. In other domains than the square it is their places
+//! ([`Domain::place`]) that are shifted. At 32×32×16 and 16 samples, 3,000 steps from such a
 //! start make up for most of 9,000 from random samples (edges of the first 1, 4 and 16 samples: .090
 //! .064 .044; from random samples .100 .069 .049 after 3,000 and .091 .061 .041 after 12,000).
 
+use crate::domain::Domain;
 use crate::gradient::simd::Simd;
 use crate::run::driver::{self, Parallel};
 use crate::run::error::RunError;
@@ -15,7 +17,7 @@ use crate::run::observer::{Observer, Progress};
 use crate::run::plan::Plan;
 use crate::run::start::InitialState;
 use crate::solver::{Options, Parallelism, Phase, Preset, Samples, StopReason};
-use crate::tile::{Tile, TileShape, clamp_coordinate};
+use crate::tile::{Tile, TileShape};
 
 /// The plan of the tile of one sample per pixel that a plan's start is made of: by the threads of
 /// this process, with the steps of the default tile, or as many less as the plan's are less than its
@@ -24,12 +26,12 @@ use crate::tile::{Tile, TileShape, clamp_coordinate};
 /// # Errors
 /// Options that cannot be run.
 pub fn first_plan(plan: &Plan) -> Result<Plan, RunError> {
-    let Options { shape, ref kernel, seed, draw, steps, .. } = plan.options;
+    let Options { shape, domain, ref kernel, seed, draw, steps, .. } = plan.options;
     let (all, best) = (Preset::Progressive.options().steps, Preset::Best.options());
     let share = u64::from(best.steps) * u64::from(steps.min(all)) / u64::from(all);
     let one = TileShape::new(shape.width(), shape.height(), shape.frames(), 1, shape.dims());
     let one = one.expect("sizes of a larger tile");
-    let best = best.with_shape(one).with_steps(share as u32);
+    let best = best.with_domain(domain).with_shape(one).with_steps(share as u32);
     let options = Options { kernel: kernel.of_all_samples(), seed, draw, ..best };
     Ok(Plan::new(&options, Parallelism::threads())?)
 }
@@ -46,23 +48,25 @@ pub fn samples(plan: &Plan, simd: Simd, observer: &mut dyn Observer) -> Result<S
     if output.summary.reason != StopReason::Completed {
         return Err(RunError::Stopped);
     }
-    Ok(shifted(&output.tile(), plan.options.shape.spp()))
+    Ok(shifted(plan.options.domain, &output.tile(), plan.options.shape.spp()))
 }
 
 /// As many samples for each that a tile has: shifted around the cube, each by a step more.
-fn shifted(tile: &Tile, spp: usize) -> Samples {
+fn shifted(domain: Domain, tile: &Tile, spp: usize) -> Samples {
     let dims = tile.shape().dims();
-    let steps = recurrence(dims);
-    let words = Samples::from_tile(tile).words;
-    let shift = &|point: &[f32], s: usize| -> Vec<f32> {
-        let coordinate = |(&x, step): (&f32, &f64)| {
-            clamp_coordinate((f64::from(x) + s as f64 * step).fract() as f32)
-        };
-        point.iter().zip(&steps).map(coordinate).collect()
-    };
-    let points = words.chunks_exact(dims);
-    let words = points.flat_map(|point| (0..spp).flat_map(move |s| shift(point, s)));
-    Samples { words: words.collect() }
+    let steps = recurrence(domain.parameters(dims));
+    let first = Samples::from_tile(tile).words;
+    let mut words = vec![0.0; first.len() * spp];
+    for (point, all) in first.chunks_exact(dims).zip(words.chunks_exact_mut(dims * spp)) {
+        let place = domain.place(point);
+        for (s, to) in all.chunks_exact_mut(dims).enumerate() {
+            let shifted = place.iter().zip(&steps).map(|(u, step)| (u + s as f64 * step).fract());
+            domain.point(&shifted.collect::<Vec<f64>>(), to);
+        }
+        // It is not to be rounded on its way to its place and back.
+        all[..dims].copy_from_slice(point);
+    }
+    Samples { words }
 }
 
 /// Powers of 1/ρ, with ρ the positive root of x^(d + 1) = x + 1.

@@ -3,6 +3,7 @@
 use std::cell::RefCell;
 use std::path::{Path, PathBuf};
 
+use crate::domain::Domain;
 use crate::format::claim::Claim;
 use crate::format::hashed::Hashed;
 use crate::format::npy;
@@ -73,14 +74,14 @@ impl OutputFiles {
     /// there is no file of this tile. Files that exist stay as they are unless they may be replaced.
     pub fn write(
         &self,
-        shape: TileShape,
+        (domain, shape): (Domain, TileShape),
         tile: &dyn ArraySource,
         kernel: &KernelTaps,
         scores: Option<&Scores>,
         existing: Existing,
         sidecar: impl FnOnce(String) -> Sidecar,
     ) -> Result<(), WriteError> {
-        let preview = RefCell::new(Preview::new(shape, kernel));
+        let preview = RefCell::new(Preview::new((domain, shape), kernel));
         let seen = |_: usize, sink: &mut dyn NumberSink| {
             tile.array(0, &mut |piece: &[f32]| {
                 preview.borrow_mut().take(piece);
@@ -149,7 +150,9 @@ mod tests {
         let tile = Baseline::White.tile(shape, 4);
         let write = |sha256| provenance(shape, sha256);
         let tile_files = outputs("tile.npy");
-        tile_files.write(shape, &tile, &kernel(), None, Existing::Keep, write).unwrap();
+        tile_files
+            .write((Domain::Square, shape), &tile, &kernel(), None, Existing::Keep, write)
+            .unwrap();
         drop(claims);
         let error = outputs("tile.npy").claim(Existing::Keep).unwrap_err();
         assert!(matches!(error, WriteError::Exists { .. }), "{error}");
@@ -172,9 +175,16 @@ mod tests {
         };
         let (whole, read) = files("whole.npy");
         let kernel = kernel();
-        let scores = Scores::of(&tile, &kernel, ScoreOptions { set: 0, integrands: 2 }).unwrap();
+        let scores = Scores::of(
+            &tile,
+            &kernel,
+            ScoreOptions { set: 0, integrands: 2, ..ScoreOptions::default() },
+        )
+        .unwrap();
         let sidecar = |sha256| provenance(shape, sha256);
-        whole.write(shape, &tile, &kernel, Some(&scores), Existing::Keep, sidecar).unwrap();
+        whole
+            .write((Domain::Square, shape), &tile, &kernel, Some(&scores), Existing::Keep, sidecar)
+            .unwrap();
         let expected = read();
         let mut npy = Vec::new();
         npy::write_tile(&tile, &mut npy).unwrap();
@@ -183,7 +193,7 @@ mod tests {
             Sha256::digest(&npy).iter().map(|byte| format!("{byte:02x}")).collect();
         assert_eq!(Sidecar::parse(&expected[1]).unwrap(), provenance(shape, digest));
         let mut png = Vec::new();
-        let mut preview = Preview::new(shape, &kernel);
+        let mut preview = Preview::new((Domain::Square, shape), &kernel);
         preview.take(tile.samples());
         preview.image(Some(&scores)).encode(&mut png).unwrap();
         assert_eq!(expected[2], png);
@@ -193,7 +203,16 @@ mod tests {
             let pieces = |_: usize, sink: &mut dyn NumberSink| {
                 tile.samples().chunks(size).try_for_each(|piece| sink.put(piece))
             };
-            outputs.write(shape, &pieces, &kernel, Some(&scores), Existing::Keep, sidecar).unwrap();
+            outputs
+                .write(
+                    (Domain::Square, shape),
+                    &pieces,
+                    &kernel,
+                    Some(&scores),
+                    Existing::Keep,
+                    sidecar,
+                )
+                .unwrap();
             assert_eq!(read(), expected);
         }
     }
@@ -214,7 +233,9 @@ mod tests {
                 if fails { Err(io::Error::other("the others are gone")) } else { Ok(()) }
             };
             let error = outputs
-                .write(shape, &pieces, &kernel(), None, Existing::Keep, |_| panic!("no tile"))
+                .write((Domain::Square, shape), &pieces, &kernel(), None, Existing::Keep, |_| {
+                    panic!("no tile")
+                })
                 .unwrap_err();
             assert!(error.to_string().contains(part), "{error}");
             assert!(error.to_string().contains("tile.npy"), "{error}");

@@ -176,8 +176,8 @@ impl Plan {
 
     /// Its draws, and what their gradients are counted in.
     fn draws(&self) -> Result<(Draws, Quantum), OptionsError> {
-        let Options { draw, seed, shape, .. } = self.options;
-        let draws = Draws::new(draw, seed, self.levels(), shape.dims());
+        let Options { draw, seed, .. } = self.options;
+        let draws = Draws::new(draw, seed, self.levels(), self.options.directions());
         let quantum = Quantum::new(&draws, &self.partition())
             .ok_or(OptionsError::Batch { draws: draw.draws, directions: draw.directions })?;
         Ok((draws, quantum))

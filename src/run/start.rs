@@ -6,6 +6,7 @@
 use perceptile_cluster::Worker;
 use perceptile_cluster::communicator::Communicator;
 
+use crate::domain::Domain;
 use crate::format::numbers::ArraySink;
 use crate::gradient::simd::Simd;
 use crate::run::error::RunError;
@@ -29,7 +30,7 @@ pub struct InitialState {
 #[derive(Debug)]
 enum Source {
     /// They are made from the plan's seed, each region's by itself.
-    Seed(fn(&Partition, Region, u64) -> Samples),
+    Seed(fn(Domain, &Partition, Region, u64) -> Samples),
     /// A tile was given.
     Given(Samples),
     /// A tile of one sample per pixel is made first, by the root ([`crate::run::nested`]).
@@ -53,7 +54,9 @@ impl InitialState {
             (None, Some(_)) if plan.options.start == Start::Nested => {
                 return Err(OptionsError::StartMissing);
             }
-            (None, Some(tile)) if tile.shape() == shape => Source::Given(Samples::from_tile(tile)),
+            (None, Some(tile)) if tile.shape() == shape => {
+                Source::Given(Samples::from_tile(&plan.options.domain.adopt(tile)?))
+            }
             (None, Some(tile)) => {
                 return Err(OptionsError::Start { expected: shape, found: tile.shape() });
             }
@@ -150,7 +153,8 @@ impl InitialState {
         let regions = plan.regions(communicator.rank());
         let shape = regions.own().shape();
         if let Source::Seed(make) = self.source {
-            let samples = make(&plan.partition(), regions.own(), plan.options.seed);
+            let Options { domain, seed, .. } = plan.options;
+            let samples = make(domain, &plan.partition(), regions.own(), seed);
             storage.tile_mut(shape).copy_from_slice(&samples.words);
         } else {
             let goes_on = plan.from.step > 0;

@@ -114,7 +114,7 @@ impl<'a> Steps<'a> {
         let shape = regions.own().shape();
         let options = &plan.options;
         let layers = plan.kernel.layers(shape.spp());
-        let what = (shape, layers.as_slice());
+        let what = (shape, layers.as_slice(), options.domain);
         let storage = warp::warp(&worker, storage, what, options.warp, options.seed, simd);
         // A round without jobs says that all is over, warped or not.
         worker.round(plan.last_round(), Ends::Half, 0..0, (), |_, ()| ());
@@ -142,7 +142,8 @@ impl<'a> Steps<'a> {
             Phase::Polish if is_due && plan.goes_on(worker, self.at) => {
                 let (kernel, options) = (plan.seen(), plan.options.polish);
                 let classes = kernel.classes();
-                let polish = Polish::enter(worker.clone(), storage, regions, classes, options, how);
+                let place = (&*regions, plan.options.domain);
+                let polish = Polish::enter(worker.clone(), storage, place, classes, options, how);
                 self.stage = Stage::Polish(Box::new(polish));
             }
             Phase::Polish => return self.start(Phase::Warp, storage),

@@ -1,13 +1,14 @@
 //! Adam (Kingma and Ba, 2015), the optimizer of Algorithm 1, line 10.
 //!
 //! Options, moments and the update are kept apart: [`AdamOptions`] says how, [`Update`] does one
-//! row of coordinates. The gradient may be an integer one (from draws) or a float one (from the
+//! row of samples, which stay in their domain. The gradient may be an integer one (from draws) or a float one (from the
 //! polish); both are turned into f32 first.
 
 use std::f64::consts::PI;
 
 use serde::{Deserialize, Serialize};
 
+use crate::domain::Surface;
 use crate::gradient::simd::{Isa, Vectorized};
 use crate::tile::clamp_coordinate;
 
@@ -107,12 +108,102 @@ impl Factors {
         let move_by = rate * m / ((v * correction).sqrt() + epsilon);
         [clamp_coordinate(x + move_by), m, v]
     }
+
+    /// Points that stay on a surface, `L` of them at a time, with their moments, after the step. The
+    /// root is that of all coordinates' second moments together, so that directions do not depend on
+    /// where the axes are.
+    #[inline(always)]
+    fn step_points<P: Component, const N: usize, const L: usize>(
+        self,
+        surface: Surface,
+        gradients: [[P; L]; N],
+        [mut x, mut m, mut v]: [[[f32; L]; N]; 3],
+    ) -> [[[f32; L]; N]; 3] {
+        let Self { unit, beta1, beta2, weight1, weight2, rate, second: correction, epsilon } = self;
+        let free = (N - usize::from(surface.is_curved())) as f32;
+        // Loops, as closures of library functions may not be compiled for the instruction set.
+        let mut downhill = [[0.0; L]; N];
+        for k in 0..N {
+            for lane in 0..L {
+                downhill[k][lane] = gradients[k][lane].value() * unit;
+            }
+        }
+        surface.flatten(&x, &mut downhill);
+        let mut total = [0.0; L];
+        for k in 0..N {
+            for lane in 0..L {
+                let gradient = downhill[k][lane];
+                m[k][lane] = beta1 * m[k][lane] + weight1 * gradient;
+                v[k][lane] = beta2 * v[k][lane] + weight2 * (gradient * gradient);
+                total[lane] += v[k][lane];
+            }
+        }
+        let mut by = [0.0; L];
+        for lane in 0..L {
+            by[lane] = rate / ((total[lane] * correction / free).sqrt() + epsilon);
+        }
+        for k in 0..N {
+            for lane in 0..L {
+                x[k][lane] += by[lane] * m[k][lane];
+            }
+        }
+        surface.bring_back(&mut x);
+        [x, m, v]
+    }
+
+    /// [`Self::step_points`] for `L` points of arrays, the first of them number `i`.
+    #[inline(always)]
+    fn step_at<P: Component, const N: usize, const L: usize>(
+        self,
+        surface: Surface,
+        gradients: &[P],
+        arrays: [&[f32]; 3],
+        i: usize,
+    ) -> [[[f32; L]; N]; 3] {
+        let at = i * N..(i + L) * N;
+        let mut planes = [[[0.0; L]; N]; 3];
+        for (array, planes) in arrays.into_iter().zip(&mut planes) {
+            let array = &array[at.clone()];
+            for lane in 0..L {
+                for k in 0..N {
+                    planes[k][lane] = array[lane * N + k];
+                }
+            }
+        }
+        let gradients = &gradients[at];
+        let mut downhill = [[gradients[0]; L]; N];
+        for lane in 0..L {
+            for k in 0..N {
+                downhill[k][lane] = gradients[lane * N + k];
+            }
+        }
+        self.step_points(surface, downhill, planes)
+    }
 }
 
-/// One step of a run of coordinates, in place.
+/// Puts `L` points in their place in an array, the first of them as number `i`.
+#[inline(always)]
+fn put<const N: usize, const L: usize>(points: [[f32; L]; N], array: &mut [f32], i: usize) {
+    let array = &mut array[i * N..(i + L) * N];
+    for lane in 0..L {
+        for k in 0..N {
+            array[lane * N + k] = points[k][lane];
+        }
+    }
+}
+
+/// Points that are moved at a time.
+const LANES: usize = 32;
+
+/// Where the samples of a row live: the surface that they stay on, and their dimensions.
+pub type Place = (Surface, usize);
+
+/// One step of a run of samples, in place.
 pub struct Update<'a, P> {
     /// What the step does.
     pub factors: Factors,
+    /// Where samples live.
+    pub place: Place,
     /// Downhill gradient.
     pub gradients: &'a [P],
     /// Coordinates.
@@ -128,18 +219,54 @@ impl<P: Component> Vectorized for Update<'_, P> {
 
     #[inline(always)]
     fn run<I: Isa>(self, _: I) {
+        // A surface that is known when this is compiled leaves no branch in a loop.
+        match self.place {
+            (Surface::Cube, _) => self.coordinates(),
+            (Surface::Ball, 2) => self.points::<2>(Surface::Ball),
+            (Surface::Ball, _) => self.points::<3>(Surface::Ball),
+            (Surface::Sphere, 2) => self.points::<2>(Surface::Sphere),
+            (Surface::Sphere, _) => self.points::<3>(Surface::Sphere),
+            (Surface::Hemisphere, _) => self.points::<3>(Surface::Hemisphere),
+        }
+    }
+}
+
+impl<P: Component> Update<'_, P> {
+    #[inline(always)]
+    fn coordinates(self) {
         let n = self.gradients.len();
         let (x, m, v) = (&mut self.samples[..n], &mut self.first[..n], &mut self.second[..n]);
         for i in 0..n {
             [x[i], m[i], v[i]] = self.factors.step(self.gradients[i], x[i], m[i], v[i]);
         }
     }
+
+    #[inline(always)]
+    fn points<const N: usize>(self, surface: Surface) {
+        let Self { factors, gradients, samples: x, first: m, second: v, .. } = self;
+        let points = gradients.len() / N;
+        let whole = points / LANES * LANES;
+        for i in (0..whole).step_by(LANES) {
+            let next = factors.step_at::<P, N, LANES>(surface, gradients, [x, m, v], i);
+            put(next[0], x, i);
+            put(next[1], m, i);
+            put(next[2], v, i);
+        }
+        for i in whole..points {
+            let next = factors.step_at::<P, N, 1>(surface, gradients, [x, m, v], i);
+            put(next[0], x, i);
+            put(next[1], m, i);
+            put(next[2], v, i);
+        }
+    }
 }
 
-/// One step of a run of coordinates, from one place to another.
+/// One step of a run of samples, from one place to another.
 pub struct UpdateTo<'a, P> {
     /// What the step does.
     pub factors: Factors,
+    /// Where samples live.
+    pub place: Place,
     /// Downhill gradient.
     pub gradients: &'a [P],
     /// Coordinates, first and second moments.
@@ -153,7 +280,22 @@ impl<P: Component> Vectorized for UpdateTo<'_, P> {
 
     #[inline(always)]
     fn run<I: Isa>(self, _: I) {
-        let Self { factors, gradients, from, to } = self;
+        // A surface that is known when this is compiled leaves no branch in a loop.
+        match self.place {
+            (Surface::Cube, _) => self.coordinates(),
+            (Surface::Ball, 2) => self.points::<2>(Surface::Ball),
+            (Surface::Ball, _) => self.points::<3>(Surface::Ball),
+            (Surface::Sphere, 2) => self.points::<2>(Surface::Sphere),
+            (Surface::Sphere, _) => self.points::<3>(Surface::Sphere),
+            (Surface::Hemisphere, _) => self.points::<3>(Surface::Hemisphere),
+        }
+    }
+}
+
+impl<P: Component> UpdateTo<'_, P> {
+    #[inline(always)]
+    fn coordinates(self) {
+        let Self { factors, gradients, from, to, .. } = self;
         let n = gradients.len();
         let [x, m, v] = from.map(|slice| &slice[..n]);
         let [to_x, to_m, to_v] = to.map(|slice| &mut slice[..n]);
@@ -161,12 +303,34 @@ impl<P: Component> Vectorized for UpdateTo<'_, P> {
             [to_x[i], to_m[i], to_v[i]] = factors.step(gradients[i], x[i], m[i], v[i]);
         }
     }
+
+    #[inline(always)]
+    fn points<const N: usize>(self, surface: Surface) {
+        let Self { factors, gradients, from, to: [to_x, to_m, to_v], .. } = self;
+        let points = gradients.len() / N;
+        let whole = points / LANES * LANES;
+        for i in (0..whole).step_by(LANES) {
+            let next = factors.step_at::<P, N, LANES>(surface, gradients, from, i);
+            put(next[0], to_x, i);
+            put(next[1], to_m, i);
+            put(next[2], to_v, i);
+        }
+        for i in whole..points {
+            let next = factors.step_at::<P, N, 1>(surface, gradients, from, i);
+            put(next[0], to_x, i);
+            put(next[1], to_m, i);
+            put(next[2], to_v, i);
+        }
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::domain::Domain;
     use crate::gradient::simd::Plain;
+    use crate::metric::Baseline;
+    use crate::tile::TileShape;
 
     const OPTIONS: AdamOptions =
         AdamOptions { rate: 0.01, final_rate: 0.001, beta1: 0.9, beta2: 0.99, epsilon: 1e-8 };
@@ -188,6 +352,7 @@ mod tests {
             for step in 0..5 {
                 Update {
                     factors: options.factors(step, 5, 1.0),
+                    place: (Surface::Cube, 4),
                     gradients: &gradients,
                     samples: &mut x,
                     first: &mut m,
@@ -216,11 +381,70 @@ mod tests {
         }
     }
 
+    /// Points of a domain with gradients, after some steps in f64: along the tangent, by one root for
+    /// all coordinates, and back.
+    #[test]
+    fn points_move_along_their_surface_as_in_f64() {
+        for domain in Domain::ALL.into_iter().filter(|domain| !domain.is_square()) {
+            let (dims, surface) = (domain.dims().unwrap(), domain.surface());
+            // Whole registers and some more.
+            let shape = TileShape::new(37, 1, 1, 1, dims).unwrap();
+            let tile = Baseline::White.tile_of(domain, shape, 3);
+            let gradients = Baseline::White.tile(shape, 4);
+            let gradients: Vec<f32> = gradients.samples().iter().map(|x| x - 0.5).collect();
+            let mut x = tile.samples().to_vec();
+            let (mut m, mut v) = (vec![0.0; x.len()], vec![0.0; x.len()]);
+            let mut slow: Vec<[f64; 3]> = x.iter().map(|&x| [f64::from(x), 0.0, 0.0]).collect();
+            for step in 0..4 {
+                let factors = OPTIONS.factors(step, 4, 1.0);
+                let place = (surface, dims);
+                let (mut to_x, mut to_m, mut to_v) = (x.clone(), m.clone(), v.clone());
+                let to = [&mut to_x[..], &mut to_m[..], &mut to_v[..]];
+                let from = [&x[..], &m[..], &v[..]];
+                UpdateTo { factors, place, gradients: &gradients, from, to }.run(Plain);
+                let (samples, first, second) = (&mut x[..], &mut m[..], &mut v[..]);
+                Update { factors, place, gradients: &gradients, samples, first, second }.run(Plain);
+                assert_eq!([&to_x, &to_m, &to_v], [&x, &m, &v], "{domain}");
+
+                let t = step as i32 + 1;
+                for (point, gradients) in slow.chunks_mut(dims).zip(gradients.chunks(dims)) {
+                    let mut gradient: Vec<f64> = gradients.iter().map(|&g| f64::from(g)).collect();
+                    let normal: Vec<f64> = point.iter().map(|[x, ..]| 2.0 * x - 1.0).collect();
+                    if surface.is_curved() {
+                        let away: f64 = normal.iter().zip(&gradient).map(|(n, g)| n * g).sum();
+                        gradient.iter_mut().zip(&normal).for_each(|(g, n)| *g -= away * n);
+                    }
+                    for ([_, m, v], g) in point.iter_mut().zip(&gradient) {
+                        *m = OPTIONS.beta1 * *m + (1.0 - OPTIONS.beta1) * g;
+                        *v = OPTIONS.beta2 * *v + (1.0 - OPTIONS.beta2) * g * g;
+                    }
+                    let free = dims - usize::from(surface.is_curved());
+                    let v: f64 = point.iter().map(|[_, _, v]| v).sum::<f64>() / free as f64;
+                    let root = (v / (1.0 - OPTIONS.beta2.powi(t))).sqrt() + OPTIONS.epsilon;
+                    let by = OPTIONS.rate(step, 4) / (1.0 - OPTIONS.beta1.powi(t)) / root;
+                    point.iter_mut().for_each(|[x, m, _]| *x += by * *m - 0.5);
+                    if surface == Surface::Hemisphere {
+                        point[dims - 1][0] = point[dims - 1][0].max(0.0);
+                    }
+                    let length: f64 = point.iter().map(|[x, ..]| x * x).sum::<f64>().sqrt();
+                    let outside = surface.is_curved() || length > 0.5;
+                    let back = if outside { 0.5 / length } else { 1.0 };
+                    point.iter_mut().for_each(|[x, ..]| *x = *x * back + 0.5);
+                }
+                for (i, (found, expected)) in x.iter().zip(&slow).enumerate() {
+                    let error = (f64::from(*found) - expected[0]).abs();
+                    assert!(error < 2e-5, "{domain}, step {step}, {i}: {found} {expected:?}");
+                }
+            }
+        }
+    }
+
     #[test]
     fn coordinates_stay_in_the_cube() {
         let mut x = [0.001, 0.999];
         Update {
             factors: OPTIONS.factors(0, 1, 1.0),
+            place: (Surface::Cube, 1),
             gradients: &[-1_i32, 1],
             samples: &mut x,
             first: &mut [0.0; 2],

@@ -3,7 +3,8 @@
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::draw::DrawOptions;
+use crate::domain::{Domain, DomainError};
+use crate::draw::{DirectionSet, DrawOptions};
 use crate::kernel::{Kernel, KernelClass, KernelError, KernelSpec, SpecProblem, Viewing};
 use crate::solver::adam::{AdamOptions, MAX_BETA};
 use crate::solver::polish::PolishOptions;
@@ -30,6 +31,8 @@ pub enum Start {
 pub struct Options {
     /// Size of the tile.
     pub shape: TileShape,
+    /// Where samples live.
+    pub domain: Domain,
     /// The filter through which error is seen: one kernel, or several with weights.
     pub kernel: KernelSpec,
     /// What all random numbers depend on.
@@ -63,6 +66,9 @@ pub enum OptionsError {
         /// The range, in words.
         rule: &'static str,
     },
+    /// The domain does not go with the tile.
+    #[error(transparent)]
+    Domain(#[from] DomainError),
     /// The kernel does not suit the tile.
     #[error(transparent)]
     Kernel(#[from] KernelError),
@@ -194,6 +200,7 @@ impl Preset {
         let rate = if progressive { 0.004 } else { adam.rate };
         Options {
             shape: TileShape::new(width, height, frames, spp, 2).expect("sizes within the limits"),
+            domain: Domain::Square,
             kernel: kernel.parse().expect("a kernel of the documented form"),
             seed: 1,
             start: if progressive { Start::Nested } else { Start::Random },
@@ -239,9 +246,11 @@ impl Options {
         let least = u128::from(self.draw.draws > 0);
         self.draw.draws = draws.clamp(least, 1 << 30) as usize;
         self.shape = shape;
-        // It compares all pairs of samples and of dimensions, so its steps cost with their square.
+        // It compares all pairs of samples, and in a cube of dimensions, so its steps cost with their
+        // square.
+        let compares_pairs = self.domain.is_square() && shape.dims() != 2;
         self.polish.steps = match shape.spp() {
-            spp if spp <= MAX_POLISH_SPP && shape.dims() == 2 => self.polish.steps / spp as u32,
+            spp if spp <= MAX_POLISH_SPP && !compares_pairs => self.polish.steps / spp as u32,
             _ => 0,
         };
         self
@@ -279,6 +288,16 @@ impl Options {
         Ok(Self { kernel, ..self })
     }
 
+    /// The options for samples of another domain. The shape has to have its dimensions.
+    pub fn with_domain(self, domain: Domain) -> Self {
+        Self { domain, ..self }
+    }
+
+    /// The directions that samples are projected on.
+    pub fn directions(&self) -> DirectionSet {
+        DirectionSet::new(self.domain, self.shape.dims())
+    }
+
     /// Checks that a run can do with a kernel, as the tile sees it, what these options ask for.
     ///
     /// # Errors
@@ -304,6 +323,7 @@ impl Options {
     /// # Errors
     /// The first that is outside.
     pub fn validate(&self) -> Result<(), OptionsError> {
+        self.domain.check(self.shape.dims())?;
         let share = "in [0, 1]";
         let positive = "positive and at most 1";
         let decay = "in [0, 0.999999]";

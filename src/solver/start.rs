@@ -4,29 +4,39 @@
 
 use rand::seq::SliceRandom;
 
+use crate::domain::Domain;
 use crate::draw::{Stream, Use};
 use crate::solver::Samples;
-use crate::tile::{Partition, Region, clamp_coordinate};
+use crate::tile::{MAX_DIMS, Partition, Region};
 
 /// Independent uniform samples of a region.
-pub fn random(partition: &Partition, region: Region, seed: u64) -> Samples {
-    each_cell((partition, region), seed, |stream, words, _| {
-        words.iter_mut().for_each(|x| *x = clamp_coordinate(stream.unit() as f32));
+pub fn random(domain: Domain, partition: &Partition, region: Region, seed: u64) -> Samples {
+    each_cell((partition, region), seed, |stream, words, dims| {
+        let mut place = [0.0; MAX_DIMS];
+        let place = &mut place[..domain.parameters(dims)];
+        for point in words.chunks_exact_mut(dims) {
+            place.iter_mut().for_each(|u| *u = stream.unit());
+            domain.point(place, point);
+        }
     })
 }
 
-/// Samples of a region, every coordinate stratified over the samples of each cell: of n samples, the k-th in a random
-/// order (one for each dimension) is uniform in [k/n, (k+1)/n].
-pub fn stratified(partition: &Partition, region: Region, seed: u64) -> Samples {
+/// Samples of a region, every coordinate stratified over the samples of each cell: of n samples, the
+/// k-th in a random order (one for each dimension) is uniform in [k/n, (k+1)/n]. In other domains
+/// than the square it is the coordinates of their places that are.
+pub fn stratified(domain: Domain, partition: &Partition, region: Region, seed: u64) -> Samples {
     each_cell((partition, region), seed, |stream, words, dims| {
-        let samples = words.len() / dims;
+        let (samples, parameters) = (words.len() / dims, domain.parameters(dims));
         let mut order: Vec<usize> = (0..samples).collect();
-        for k in 0..dims {
+        let mut places = vec![0.0; samples * parameters];
+        for k in 0..parameters {
             order.shuffle(stream);
-            for (point, stratum) in words.chunks_exact_mut(dims).zip(&order) {
-                let x = (*stratum as f64 + stream.unit()) / samples as f64;
-                point[k] = clamp_coordinate(x as f32);
+            for (place, stratum) in places.chunks_exact_mut(parameters).zip(&order) {
+                place[k] = (*stratum as f64 + stream.unit()) / samples as f64;
             }
+        }
+        for (point, place) in words.chunks_exact_mut(dims).zip(places.chunks_exact(parameters)) {
+            domain.point(place, point);
         }
     })
 }
@@ -64,7 +74,7 @@ mod tests {
     fn a_stratified_start_has_one_coordinate_in_each_stratum() {
         let shape = TileShape::new(20, 40, 3, 2, 3).unwrap();
         let partition = Partition::new(shape, Reach::default());
-        let tile = stratified(&partition, Region::whole(shape), 5).to_tile(shape);
+        let tile = stratified(Domain::Square, &partition, Region::whole(shape), 5).to_tile(shape);
         for cell in (0..partition.cells()).map(|cell| partition.cell(cell)) {
             let samples = cell.pixels(3) * 2;
             let mut points = Vec::new();

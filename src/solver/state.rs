@@ -17,6 +17,7 @@ use std::io;
 use perceptile_cluster::shared::{Job, Part, Parts, Section};
 use perceptile_cluster::{Ends, Worker};
 
+use crate::domain::Surface;
 use crate::format::numbers::{ArraySource, NumberSink};
 use crate::gradient::simd::Simd;
 use crate::solver::adam::{Component, Factors, Update, UpdateTo};
@@ -237,16 +238,17 @@ impl<'a> Line<'a> {
         &mut self,
         (worker, job): (&Worker, &Job<'_>),
         (t, turns): (usize, usize),
-        factors: Factors,
+        (factors, surface): (Factors, Surface),
         gradients: &[P],
         simd: Simd,
     ) {
+        let place = (surface, self.rows.shape().dims());
         let start = t * self.rows.stride() + self.rows.lead();
         let samples = &mut self.samples[start..start + self.rows.own()];
         let row = self.slots.row(t, turns);
         if !self.slots.move_on() {
             let (first, second) = (&mut self.first[row.clone()], &mut self.second[row]);
-            simd.run(Update { factors, gradients, samples, first, second });
+            simd.run(Update { factors, place, gradients, samples, first, second });
         } else {
             let two = [row, self.slots.row(t, turns + 1)];
             let apart = "two rows of a line";
@@ -257,6 +259,7 @@ impl<'a> Line<'a> {
                 |x, to_x| {
                     simd.run(UpdateTo {
                         factors,
+                        place,
                         gradients,
                         from: [x, m, v],
                         to: [to_x, to_m, to_v],

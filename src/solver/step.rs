@@ -234,6 +234,7 @@ impl<P: Probe> Descent<P> {
         let Self { patches, objectives, owners, record, scratch, .. } = self;
         let round = rounds::step(Phase::Descent, step, Part::Update);
         let factors = adam.factors(step, self.steps, gradient.quantum().unit());
+        let surface = gradient.draws().directions().domain().surface();
         let slots = state.slots;
         let turns = slots.turns(step);
         state.step = step + 1;
@@ -255,7 +256,7 @@ impl<P: Probe> Descent<P> {
                         simd.run(Reduce { overlap, patches, y, t, sums });
                         worker.fault(faults::REDUCE);
                         probe.lap(Stage::Reduce);
-                        line.update((worker, job), (t, turns), factors, sums, simd);
+                        line.update((worker, job), (t, turns), (factors, surface), sums, simd);
                         probe.lap(Stage::Adam);
                     }
                 });

@@ -3,7 +3,7 @@
 //! Sliced transport on the bounded cube leaves its corners under-filled, a bias that no averaging
 //! removes. The warp moves all samples of the tile as one point set: along the two axes of a
 //! random frame in the plane of a pair of dimensions (or, in more than two, along a direction
-//! through all), it carries the distribution of projections
+//! through all, and so in other domains than the cube), it carries the distribution of projections
 //! to the one of the uniform density, and does so again for many frames (iterative distribution
 //! transfer, Pitié et al. 2005). The map depends on the place of a sample in the cube only, so
 //! neighbours in the cube stay neighbours, and the error's distribution over pixels survives.
@@ -18,12 +18,13 @@ use perceptile_cluster::shared::{Parts, Section};
 use perceptile_cluster::{Ends, Worker};
 use serde::{Deserialize, Serialize};
 
+use crate::domain::{Domain, Surface};
 use crate::draw::{Direction, DirectionSet, Stream, Use};
 use crate::gradient::Targets;
 use crate::gradient::simd::{Isa, Simd, Vectorized};
 use crate::solver::histograms::{BINS, CHUNK, job_words, jobs};
 use crate::solver::{Parallelism, Phase, Storage, faults, rounds};
-use crate::tile::{MAX_DIMS, TileShape, clamp_coordinate};
+use crate::tile::{MAX_DIMS, TileShape};
 
 /// How the warp is done.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -51,7 +52,7 @@ impl WarpOptions {
 pub fn warp(
     worker: &Worker,
     storage: Storage,
-    (shape, layers): (TileShape, &[Range<usize>]),
+    (shape, layers, domain): (TileShape, &[Range<usize>], Domain),
     options: WarpOptions,
     seed: u64,
     simd: Simd,
@@ -76,11 +77,11 @@ pub fn warp(
         section.parts::<i64>((0..jobs).map(part).collect())
     });
 
-    let set = DirectionSet::new(dims);
+    let (set, surface) = (DirectionSet::new(domain, dims), domain.surface());
     let targets = Targets::new(&set);
     let axes_of = |frame: u32| -> Vec<Axis> {
         let directions = directions(&set, frame, &mut Stream::new(seed, Use::Warp, frame, 0));
-        directions.into_iter().map(|direction| Axis::new(direction, dims)).collect()
+        directions.into_iter().map(|direction| Axis::new(direction, &targets)).collect()
     };
     let (mut before, mut now): (Vec<Axis>, _) = (Vec::new(), axes_of(0));
     for frame in 0..=frames {
@@ -128,7 +129,8 @@ pub fn warp(
                         // Made by who holds a job, so that the counts cannot change meanwhile.
                         let maps = maps.get_or_init(make_maps);
                         to.copy_from_slice(from);
-                        simd.run(Move { axes: &before, maps, dims, layers, points: to });
+                        let place = (surface, dims);
+                        simd.run(Move { axes: &before, maps, place, layers, points: to });
                         points = to;
                     }
                     worker.fault(faults::WARP);
@@ -203,7 +205,7 @@ impl LayersFrom<'_> {
 fn directions(set: &DirectionSet, frame: u32, stream: &mut Stream) -> Vec<Direction> {
     let u = stream.unit();
     let dims = set.dims();
-    if dims == 1 || (dims > 2 && frame % 2 == 1) {
+    if dims == 1 || (dims > 2 && (frame % 2 == 1 || !set.domain().is_square())) {
         return vec![set.any(u, stream)];
     }
     let first = set.random_pair(u, stream);
@@ -228,10 +230,8 @@ struct Axis {
 }
 
 impl Axis {
-    fn new(direction: Direction, dims: usize) -> Self {
-        let theta = direction.theta;
-        let low: f32 = theta[..dims].iter().map(|x| x.min(0.0)).sum();
-        let length: f32 = theta[..dims].iter().map(|x| x.abs()).sum();
+    fn new(direction: Direction, targets: &Targets) -> Self {
+        let (low, length) = targets.extent(&direction);
         Self { direction, low, length, density: BINS as f32 / length }
     }
 
@@ -287,7 +287,8 @@ struct Move<'a> {
     axes: &'a [Axis],
     /// For each axis, the displacements of each layer one after the other.
     maps: &'a [Vec<f32>],
-    dims: usize,
+    /// Where samples live, and their dimensions.
+    place: (Surface, usize),
     layers: LayersFrom<'a>,
     points: &'a mut [f32],
 }
@@ -297,9 +298,10 @@ impl Vectorized for Move<'_> {
 
     #[inline(always)]
     fn run<I: Isa>(self, _: I) {
-        for (point, layer) in self.points.chunks_exact_mut(self.dims).zip(self.layers.each()) {
+        let (surface, dims) = self.place;
+        for (point, layer) in self.points.chunks_exact_mut(dims).zip(self.layers.each()) {
             let mut moved = [0.0_f32; MAX_DIMS];
-            let moved = &mut moved[..self.dims];
+            let moved = &mut moved[..dims];
             moved.copy_from_slice(point);
             for (axis, map) in self.axes.iter().zip(self.maps) {
                 let map = &map[layer * (BINS + 1)..][..BINS + 1];
@@ -311,9 +313,8 @@ impl Vectorized for Move<'_> {
                     *x += by * theta;
                 }
             }
-            for (x, moved) in point.iter_mut().zip(moved) {
-                *x = clamp_coordinate(*moved);
-            }
+            surface.bring_all_back(moved, dims);
+            point.copy_from_slice(moved);
         }
     }
 }
@@ -323,7 +324,7 @@ mod tests {
     use super::*;
     use crate::metric::histogram;
     use crate::solver::{Samples, StoragePlan};
-    use crate::tile::{Partition, Reach, Region, Tile};
+    use crate::tile::{Partition, Reach, Region, Tile, clamp_coordinate};
 
     /// Points of the additive recurrence of the generalised golden ratio: far more even than
     /// random ones, so that what is left of a density's unevenness can be seen.
@@ -358,7 +359,7 @@ mod tests {
         let plan = plan.with_layers(layers.len());
         let (worker, mut storage) = plan.private().unwrap();
         storage.tile_mut(shape).copy_from_slice(words);
-        let storage = warp(&worker, storage, (shape, layers), options, 3, simd);
+        let storage = warp(&worker, storage, (shape, layers, Domain::Square), options, 3, simd);
         let tile = storage.into_tile(options.all_frames(dims));
         Samples { words: tile.slice()[..words.len()].to_vec() }
     }

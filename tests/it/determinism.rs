@@ -1,6 +1,7 @@
 //! A tile is a function of its options, its seed and the program's version: not of threads,
 //! instruction sets, build profiles or interruptions.
 
+use perceptile::domain::Domain;
 use perceptile::draw::DrawOptions;
 use perceptile::format::sidecar::digest;
 use perceptile::gradient::simd::Simd;
@@ -29,6 +30,7 @@ pub fn options(
     let adam = AdamOptions { rate: 0.01, final_rate: 0.0, beta1: 0.9, beta2: 0.99, epsilon: 1e-8 };
     Options {
         shape: TileShape::new(width, height, frames, spp, dims).unwrap(),
+        domain: Domain::Square,
         kernel: kernel.parse().unwrap(),
         seed: 7,
         start: Start::Random,
@@ -80,12 +82,41 @@ fn threads_and_instruction_sets_leave_no_trace() {
 }
 
 #[test]
+fn other_domains_leave_no_trace_either() {
+    for (domain, size, start) in [
+        (Domain::Circle, [37, 35, 8, 1], Start::Random),
+        (Domain::Disk, [33, 20, 8, 2], Start::Stratified),
+        (Domain::Sphere, [37, 19, 8, 1], Start::Random),
+        (Domain::Hemisphere, [21, 18, 8, 3], Start::Nested),
+        (Domain::Cosine, [40, 17, 8, 1], Start::Stratified),
+    ] {
+        let [width, height, frames, spp] = size;
+        let size = [width, height, frames, spp, domain.dims().unwrap()];
+        let kernel = if spp == 3 { SEQUENCE } else { PERCEPTION };
+        let options = Options { domain, start, ..options(size, kernel, 6, 2) };
+        let run = |threads: usize, simd: Simd| {
+            let pool = ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| optimize(&options, None, simd, &mut Unobserved)).unwrap().0
+        };
+        let tile = run(1, Simd::detect());
+        assert!(domain.adopt(&tile).is_ok_and(|adopted| adopted == tile), "{domain}: outside");
+        for (threads, simd) in [(3, Simd::detect()), (2, Simd::plain())] {
+            let label = format!("{domain}, {threads} threads, {}", simd.name());
+            assert_eq!(digest(&tile), digest(&run(threads, simd)), "{label}");
+        }
+    }
+}
+
+#[test]
 fn bytes_stay_what_they_were() {
     const SIGNED: &str = "gaussian(1) * fovvideovdp(60) @ 3x3x15";
     let found = [
         options([36, 33, 8, 1, 2], PERCEPTION, 25, 0),
         options([20, 21, 15, 2, 3], SIGNED, 25, 0),
         options([24, 34, 9, 1, 2], PERCEPTION, 25, 5),
+        Options { domain: Domain::Disk, ..options([24, 34, 9, 1, 2], PERCEPTION, 25, 5) },
+        Options { domain: Domain::Sphere, ..options([24, 34, 9, 2, 3], PERCEPTION, 25, 5) },
+        Options { domain: Domain::Cosine, ..options([24, 34, 9, 1, 3], PERCEPTION, 25, 5) },
     ]
     .map(|options| digest(&make(&options)));
     // Changing these lines says that tiles of this version differ from those of earlier ones.
@@ -93,6 +124,9 @@ fn bytes_stay_what_they_were() {
         "fc6177b94dc5d9aa5094538e2b61f16fc141d655f1aa2662847ce9efab50ac48",
         "c83d29b6e9b3e7dc0dc94fbcc2dc763226b4386995e61c23538577d2b076558b",
         "27776d8068bd77fa41f2f5eb7a7d1f22a5fa6fef6227eca9dceac670c130c030",
+        "abe1841c992f2fec2ae894031f7b3364bbd7b0a366dd55c9af989c19d88ada4a",
+        "e663bb003df67d54ff8c6600c29aa8f08c65cdf0d31686a861992d1b5cc4d6d3",
+        "a96fd629cf198713b2dd9e6a5692aa24224a76d679f7caa51ac66e8676161b04",
     ];
     assert_eq!(found, known);
 }

@@ -4,6 +4,7 @@ use std::fs;
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
+use perceptile::domain::Domain;
 use perceptile::format::npy;
 use perceptile::format::png::{self, Depth, PixelFormat, Raster};
 use perceptile::format::sidecar::{self, Sidecar};
@@ -459,7 +460,7 @@ fn the_picture_of_a_tile_is_saved_as_it_was_drawn_and_is_no_tile() {
     let tile = scattered(shape(16, 8, 12, 1, 2));
     let spec: KernelSpec = "gaussian(1) @ 3x3x1".parse().unwrap();
     let kernel = spec.resolve(tile.shape()).unwrap();
-    let mut preview = Preview::new(tile.shape(), &kernel.classes()[0].taps);
+    let mut preview = Preview::new((Domain::Square, tile.shape()), &kernel.classes()[0].taps);
     preview.take(tile.samples());
     let picture = preview.image(None);
     picture.save(&path, Existing::Keep).unwrap();

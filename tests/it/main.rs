@@ -7,6 +7,8 @@ mod determinism;
 #[cfg(target_os = "linux")]
 mod docs;
 #[cfg(target_os = "linux")]
+mod domain;
+#[cfg(target_os = "linux")]
 mod failures;
 mod format;
 mod gradient;

@@ -2,7 +2,7 @@
 
 use glam::IVec3;
 use perceptile::kernel::{KernelSpec, KernelTaps, Tap};
-use perceptile::metric::{Baseline, Class, Domain, ScoreOptions, Scorer, Scores, spectra};
+use perceptile::metric::{Baseline, Class, Coordinates, ScoreOptions, Scorer, Scores, spectra};
 use perceptile::tile::{Tile, TileShape};
 use proptest::prelude::*;
 
@@ -42,14 +42,14 @@ fn autocorrelation(kernel: &KernelTaps, lag: IVec3) -> f64 {
 }
 
 fn perceived(scores: &Scores, class: Class) -> f64 {
-    scores.class(class, Domain::All).unwrap().perceived.mean
+    scores.class(class, Coordinates::All).unwrap().perceived.mean
 }
 
 #[test]
 fn white_noise_has_one_and_the_histogram_of_its_number() {
     let shape = TileShape::new(64, 64, 16, 1, 2).unwrap();
     let tile = Baseline::White.tile(shape, 12);
-    let options = ScoreOptions { set: 1, integrands: 64 };
+    let options = ScoreOptions { set: 1, integrands: 64, ..ScoreOptions::default() };
     let scores = Scores::of(&tile, &perception_kernel(), options).unwrap();
     for score in &scores.classes {
         // One tile's perceived mean square has some 2·65536·(share of frequencies that pass)
@@ -84,7 +84,7 @@ fn mirrored_neighbours_score_what_the_kernels_autocorrelation_says() {
             })
             .collect();
         let tile = Tile::new(shape, samples).unwrap();
-        let options = ScoreOptions { set: 1, integrands: 32 };
+        let options = ScoreOptions { set: 1, integrands: 32, ..ScoreOptions::default() };
         let found = perceived(&Scores::of(&tile, &kernel, options).unwrap(), Class::Linear);
         let expected = along(axis);
         assert!((found / expected - 1.0).abs() < 0.2, "{axis}: {found}, expected {expected}");
@@ -101,13 +101,13 @@ fn stratified_pixels_score_one_over_their_number_squared() {
         let tile = Baseline::Sobol.tile(shape, 5);
         let tap = Tap { offset: IVec3::ZERO, weight: 1.0 };
         let kernel = KernelTaps::new([tap]).unwrap();
-        let options = ScoreOptions { set: 2, integrands: 4 };
+        let options = ScoreOptions { set: 2, integrands: 4, ..ScoreOptions::default() };
         let scores = Scores::of(&tile, &kernel, options).unwrap();
         let expected = 1.0 / (spp * spp) as f64;
         let found = perceived(&scores, Class::Linear);
         assert!((found / expected - 1.0).abs() < 0.05, "{spp}: {found}, expected {expected}");
         // A pixel's frames continue its sequence: over all of them, 1/(8·spp)², of 1024 pixels.
-        let found = scores.class(Class::Linear, Domain::All).unwrap().whole_period.mean;
+        let found = scores.class(Class::Linear, Coordinates::All).unwrap().whole_period.mean;
         assert!((found / expected * 64.0 - 1.0).abs() < 0.2, "{spp}: {found}");
     }
 }
@@ -126,9 +126,9 @@ fn edges_next_to_the_border_weigh_as_little_as_they_vary() {
     // has no limit at x = 0, where it is that of (1 − p)/p: nearly 6 for edges that vary by 0.001.
     for (x, expected) in [(0.0, 2.0), (0.25, 0.875), (0.5, 0.5)] {
         let (tile, kernel) = one_sample(x);
-        let options = ScoreOptions { set: 3, integrands: 16_384 };
+        let options = ScoreOptions { set: 3, integrands: 16_384, ..ScoreOptions::default() };
         let scores = Scores::of(&tile, &kernel, options).unwrap();
-        let score = scores.class(Class::AxisEdge, Domain::All).unwrap();
+        let score = scores.class(Class::AxisEdge, Coordinates::All).unwrap();
         for ratio in [score.perceived, score.whole_period] {
             let error = ratio.standard_error;
             assert!((ratio.mean - expected).abs() < 3.0 * error, "{x}: {ratio:?}");
@@ -138,9 +138,9 @@ fn edges_next_to_the_border_weigh_as_little_as_they_vary() {
     }
     // The deviations (1 − p)(1 − 3p) from twice the variance have the mean square 2/15.
     let (tile, kernel) = one_sample(0.0);
-    let options = ScoreOptions { set: 3, integrands: 16_384 };
+    let options = ScoreOptions { set: 3, integrands: 16_384, ..ScoreOptions::default() };
     let scores = Scores::of(&tile, &kernel, options).unwrap();
-    let found = scores.class(Class::AxisEdge, Domain::All).unwrap().perceived.standard_error;
+    let found = scores.class(Class::AxisEdge, Coordinates::All).unwrap().perceived.standard_error;
     let expected = 6.0 * (2.0_f64 / 15.0 / 16_384.0).sqrt();
     assert!((found / expected - 1.0).abs() < 0.05, "{found}, expected {expected}");
 }
@@ -151,9 +151,9 @@ fn standard_errors_say_how_far_sets_differ() {
     let sets = 100;
     let covered = (0..sets)
         .filter(|&set| {
-            let options = ScoreOptions { set, integrands: 128 };
+            let options = ScoreOptions { set, integrands: 128, ..ScoreOptions::default() };
             let scores = Scores::of(&tile, &kernel, options).unwrap();
-            let ratio = scores.class(Class::AxisEdge, Domain::All).unwrap().perceived;
+            let ratio = scores.class(Class::AxisEdge, Coordinates::All).unwrap().perceived;
             (ratio.mean - 0.875).abs() < 1.96 * ratio.standard_error
         })
         .count();
@@ -166,10 +166,10 @@ fn a_kernel_of_one_pixel_sees_all_power_of_a_spectrum() {
     let shape = TileShape::new(16, 12, 4, 2, 2).unwrap();
     let tile = Baseline::Sobol.tile(shape, 6);
     let kernel = KernelTaps::new([Tap { offset: IVec3::ZERO, weight: 1.0 }]).unwrap();
-    let options = ScoreOptions { set: 4, integrands: 24 };
+    let options = ScoreOptions { set: 4, integrands: 24, ..ScoreOptions::default() };
     let scores = Scores::of(&tile, &kernel, options).unwrap();
     for class in spectra(&tile, options).unwrap() {
-        let expected = scores.class(class.class, class.domain).unwrap().perceived.mean;
+        let expected = scores.class(class.class, class.coordinates).unwrap().perceived.mean;
         for power in [class.xy.power, class.xt.power] {
             let mean = power.iter().map(|&p| f64::from(p)).sum::<f64>() / power.len() as f64;
             assert!((mean / expected - 1.0).abs() < 1e-5, "{}: {mean} {expected}", class.class);
@@ -185,7 +185,7 @@ fn phases_score_what_the_tile_scores_behind_every_so_many_frames() {
     let tile = Baseline::White.tile(TileShape::new(12, 10, 12, 2, 2).unwrap(), 5);
     let score = |tile: &Tile, kernel: &str| {
         let kernel = kernel.parse::<KernelSpec>().unwrap().resolve(tile.shape()).unwrap();
-        let options = ScoreOptions { set: 3, integrands: 8 };
+        let options = ScoreOptions { set: 3, integrands: 8, ..ScoreOptions::default() };
         Scores::of(tile, &kernel.classes()[0].taps, options).unwrap()
     };
     let whole = score(&tile, "gaussian(1) * fovvideovdp(24) * every(3) @ 3x3x4");
@@ -228,7 +228,7 @@ proptest! {
     ) {
         let shape = TileShape::new(width, height, frames, spp, dims).unwrap();
         let tile = Baseline::White.tile(shape, seed);
-        let options = ScoreOptions { set: seed, integrands: 2 };
+        let options = ScoreOptions { set: seed, integrands: 2, ..ScoreOptions::default() };
         let scorer = Scorer::new(shape, &perception_kernel(), options).unwrap();
         let here = scorer.score(&tile).unwrap();
         let there = scorer.score(&moved(&tile, by.map(usize::from))).unwrap();

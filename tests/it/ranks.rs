@@ -62,6 +62,7 @@ fn ranks_leave_no_trace() {
          --start stratified",
         "--tile 131x70x3 --spp 2 --dims 1 --kernel gaussian(1)*gaussian_t(0.7)@17x5x3 --polish 2",
         "--tile 96x48x4 --kernel gaussian(2)@9x9x1 --polish 0 --stop-after 10",
+        "--tile 64x50x5 --domain hemisphere --kernel gaussian(1.5)*ema(0.4)@5x5x4 --polish 2",
     ] {
         ranks_make_one_tile(&format!("{case} --steps 40 --draws 300 --warp 10 --directions 2"));
     }

@@ -1,11 +1,12 @@
 //! The solver against what it promises: less error, in the reference's own measure and in the
 //! scores, and the moves that Adam's formulas prescribe.
 
-use perceptile::draw::{Draws, LevelSets};
+use perceptile::domain::Domain;
+use perceptile::draw::{DirectionSet, Draws, LevelSets};
 use perceptile::gradient::reference;
 use perceptile::gradient::simd::Simd;
 use perceptile::gradient::{Gradient, Quantum};
-use perceptile::metric::{Baseline, Class, Domain, ScoreOptions, Scorer};
+use perceptile::metric::{Baseline, Class, Coordinates, ScoreOptions, Scorer};
 use perceptile::solver::adam::AdamOptions;
 use perceptile::solver::warp::WarpOptions;
 use perceptile::solver::{Descent, Options, Samples};
@@ -32,7 +33,11 @@ fn descent_lowers_the_plain_objective_of_draws_that_it_never_saw() {
             case.draw.draws = 40;
             case.seed = 991;
             case.tile = make(&options);
-            reference::objective(&case.tile, &case.levels, &case.reference_draws())
+            reference::objective(
+                (&case.tile, Domain::Square),
+                &case.levels,
+                &case.reference_draws(),
+            )
         };
         let (before, after) = (objective(0), objective(150));
         assert!(before > least * after, "{shape:?}: {before} -> {after}");
@@ -43,10 +48,15 @@ fn descent_lowers_the_plain_objective_of_draws_that_it_never_saw() {
 fn tiles_beat_white_noise_and_the_polish_beats_the_descent() {
     let base = options([16, 16, 8, 1, 2], KERNEL, 400, 0);
     let taps = base.kernel.resolve(base.shape).unwrap().classes()[0].taps.clone();
-    let scorer = Scorer::new(base.shape, &taps, ScoreOptions { set: 5, integrands: 64 }).unwrap();
+    let scorer = Scorer::new(
+        base.shape,
+        &taps,
+        ScoreOptions { set: 5, integrands: 64, ..ScoreOptions::default() },
+    )
+    .unwrap();
     let score = |options: &Options, class: Class| {
         let scores = scorer.score(&make(options)).unwrap();
-        scores.class(class, Domain::All).unwrap().perceived.mean
+        scores.class(class, Coordinates::All).unwrap().perceived.mean
     };
     let polished =
         Options { polish: options([16, 16, 8, 1, 2], KERNEL, 0, 60).polish, ..base.clone() };
@@ -72,7 +82,7 @@ fn steps_are_adams_on_the_plain_gradient() {
     let shape = case.tile.shape();
     let kernel = options([18, 11, 8, 2, 2], KERNEL, 0, 0).kernel.resolve(shape).unwrap();
     let levels = LevelSets::new([(1.0, &kernel.classes()[0].taps)]);
-    let draws = Draws::new(case.draw, case.seed, levels, 2);
+    let draws = Draws::new(case.draw, case.seed, levels, DirectionSet::new(Domain::Square, 2));
     let partition = Partition::new(shape, draws.levels().reach());
     let quantum = Quantum::new(&draws, &partition).unwrap();
     let gradient = Gradient::new(draws, partition, quantum, Simd::detect());
@@ -87,7 +97,8 @@ fn steps_are_adams_on_the_plain_gradient() {
         let mut now = case.clone();
         now.step = step;
         now.tile = descent.samples().to_tile(shape);
-        let gradient = reference::gradient(&now.tile, &now.levels, &now.reference_draws());
+        let gradient =
+            reference::gradient((&now.tile, Domain::Square), &now.levels, &now.reference_draws());
         descent.step(step);
         let after = descent.samples().to_tile(shape);
         let part = f64::from(step) / f64::from(steps);
@@ -112,7 +123,7 @@ fn going_on_from_other_samples_keeps_the_moments() {
     let options = options([20, 20, 8, 1, 2], KERNEL, 0, 0);
     let kernel = options.kernel.resolve(options.shape).unwrap();
     let levels = LevelSets::new([(1.0, &kernel.classes()[0].taps)]);
-    let draws = Draws::new(options.draw, 1, levels, 2);
+    let draws = Draws::new(options.draw, 1, levels, options.directions());
     let partition = Partition::new(options.shape, draws.levels().reach());
     let quantum = Quantum::new(&draws, &partition).unwrap();
     let gradient = Gradient::new(draws, partition, quantum, Simd::detect());

@@ -68,6 +68,8 @@ fn workers_and_threads_leave_no_trace() {
          --start random",
         "--tile 70x18x2 --dims 6 --kernel 0.5:gaussian(2)@6x7x1+0.5:box(2) --polish 0",
         "--tile 32x33x2 --kernel 0.8:none+0.2:frame --start stratified --polish 0",
+        "--tile 37x35x8 --domain sphere --spp 2 --kernel gaussian(1)*ema(0.5)@3x3x4 --polish 3",
+        "--tile 33x36x4 --domain disk --kernel gaussian(1)@5x5x1 --polish 2 --start stratified",
         "--tile 20x21x15 --spp 2 --dims 3 --kernel gaussian(1)*fovvideovdp(60)@3x3x15 --polish 2 \
          --start random",
         // One frame; fewer jobs than workers, down to one.

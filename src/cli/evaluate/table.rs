@@ -1,16 +1,16 @@
 //! The scores as a table for people.
 
-use perceptile::metric::{Class, Domain, Histogram, ScoredTile, ShownScore, figure, ratio};
+use perceptile::metric::{Class, Coordinates, Histogram, ScoredTile, ShownScore, figure, ratio};
 
 use super::{Evaluation, verdict};
 
 /// Spaces between two columns.
 const GAP: usize = 3;
 
-/// One block of the table: one score in one domain, a row per tile.
+/// One block of the table: one score over all coordinates or pairs of them, a row per tile.
 struct TableSection {
     part: ShownScore,
-    domain: Domain,
+    coordinates: Coordinates,
     /// Whether to show the figures of the whole tile.
     uniformity: bool,
 }
@@ -32,13 +32,14 @@ pub(super) fn table(report: &Evaluation, all: bool) -> String {
     if report.tiles.len() > report.parts {
         lines.push(format!("÷ {against}  the ratio to {against}: 2 means twice its error"));
     }
-    let domains = report.tiles.iter().map(|entry| Domain::of(entry.shape.dims()));
-    let domains = domains.max_by_key(|domains| domains.len()).unwrap_or(&[]);
+    let columns =
+        report.tiles.iter().map(|entry| Coordinates::of(report.options.domain, entry.shape.dims()));
+    let columns = columns.max_by_key(|columns| columns.len()).unwrap_or(&[]);
     let mut left_out = 0;
-    for &domain in domains {
+    for &coordinates in columns {
         for (place, part) in ShownScore::ALL.into_iter().enumerate() {
-            let is_first = place == 0 && domain == Domain::All;
-            let section = TableSection { part, domain, uniformity: is_first }.lines(report);
+            let is_first = place == 0 && coordinates == Coordinates::All;
+            let section = TableSection { part, coordinates, uniformity: is_first }.lines(report);
             if all || is_first {
                 lines.extend(section);
             } else if !section.is_empty() {
@@ -68,7 +69,8 @@ impl TableSection {
         if rows.is_empty() {
             return Vec::new();
         }
-        let mut heading = Class::ALL.map(|class| class.to_string()).to_vec();
+        let classes = Class::of(report.options.domain);
+        let mut heading: Vec<String> = classes.iter().map(Class::to_string).collect();
         if self.uniformity {
             heading.extend(["bias·√N", "histogram (rms)", "residual"].map(String::from));
         }
@@ -93,7 +95,11 @@ impl TableSection {
                     .push([format!("÷ {}", reference.name)].into_iter().chain(quotients).collect());
             }
         }
-        let pairs = if self.domain == Domain::Pairs { ", random pairs of dimensions" } else { "" };
+        let pairs = if self.coordinates == Coordinates::Pairs {
+            ", random pairs of dimensions"
+        } else {
+            ""
+        };
         let title = [String::new(), format!("{}{pairs}", self.part.title)];
         title.into_iter().chain(aligned(&lines)).collect()
     }
@@ -102,10 +108,11 @@ impl TableSection {
     fn figures(&self, entry: &ScoredTile) -> Option<Vec<Cell>> {
         let scores = (self.part.scores)(entry);
         let of_class = |&class: &Class| {
-            let score = (self.part.ratio)(scores.class(class, self.domain)?)?;
+            let score = (self.part.ratio)(scores.class(class, self.coordinates)?)?;
             Some((ratio(score), score.mean))
         };
-        let mut figures: Vec<_> = Class::ALL.iter().map(of_class).collect::<Option<_>>()?;
+        let classes = Class::of(scores.options.domain);
+        let mut figures: Vec<_> = classes.iter().map(of_class).collect::<Option<_>>()?;
         if self.uniformity {
             let Histogram { smallest, largest, rms } = scores.histogram;
             figures.push((figure(scores.bias), scores.bias));
@@ -146,6 +153,7 @@ fn aligned(rows: &[Vec<String>]) -> Vec<String> {
 
 #[cfg(test)]
 pub(super) mod tests {
+    use perceptile::domain::Domain;
     use perceptile::metric::{ClassScore, Ratio, ScoreOptions, Scores};
     use perceptile::tile::TileShape;
 
@@ -155,12 +163,12 @@ pub(super) mod tests {
     pub fn entry(name: &str, dims: usize, frames: usize, level: f64) -> ScoredTile {
         let shape = TileShape::new(8, 8, frames, 1, dims).unwrap();
         let ratio = Ratio { mean: level, standard_error: level / 100.0 };
-        let classes = Domain::of(dims)
+        let classes = Coordinates::of(Domain::Square, dims)
             .iter()
-            .flat_map(|&domain| Class::ALL.map(|class| (class, domain)))
-            .map(|(class, domain)| ClassScore {
+            .flat_map(|&coordinates| Class::ALL.map(|class| (class, coordinates)))
+            .map(|(class, coordinates)| ClassScore {
                 class,
-                domain,
+                coordinates,
                 perceived: ratio,
                 half_period: (frames > 1).then_some(ratio),
                 whole_period: ratio,

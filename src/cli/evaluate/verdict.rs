@@ -1,7 +1,7 @@
 //! What the first table comes to, in words: how much of each other tile's perceived error is left
 //! with the tile that all are compared with.
 
-use perceptile::metric::{Class, Domain, ScoredTile, digits};
+use perceptile::metric::{Class, Coordinates, ScoredTile, digits};
 
 use super::Evaluation;
 
@@ -34,7 +34,7 @@ fn line(reference: &ScoredTile, other: &ScoredTile) -> String {
         return format!("{theirs} has samples of other dimensions than {ours}: not compared");
     }
     let perceived = |tile: &ScoredTile, class: Class| {
-        tile.scores.class(class, Domain::All).map(|score| score.perceived.mean)
+        tile.scores.class(class, Coordinates::All).map(|score| score.perceived.mean)
     };
     let ratio = |&class: &Class| {
         let quotient = perceived(reference, class)? / perceived(other, class)?;

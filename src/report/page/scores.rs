@@ -6,7 +6,9 @@ use maud::{Markup, html};
 
 use super::super::ReportOptions;
 use super::super::card::Card;
-use crate::metric::{Class, ClassScore, Domain, Ratio, ScoredTile, Scores, ShownScore, digits};
+use crate::metric::{
+    Class, ClassScore, Coordinates, Ratio, ScoredTile, Scores, ShownScore, digits,
+};
 
 /// One figure of a whole tile.
 type WholeFigure = fn(&Scores) -> f64;
@@ -35,8 +37,9 @@ const MEASURES: [(&str, &str, Measure); 4] = [
 pub(super) fn verdict(cards: &[Card]) -> Markup {
     let edge = |card: &Card| {
         let scores = &card.entry.scores;
-        let found = scores.class(Class::Edge, Domain::All)?.perceived;
-        let pointer = format!("/scores/{}/perceived/mean", place(scores, Class::Edge, Domain::All));
+        let found = scores.class(Class::Edge, Coordinates::All)?.perceived;
+        let pointer =
+            format!("/scores/{}/perceived/mean", place(scores, Class::Edge, Coordinates::All));
         Some(number(&card.entry, &pointer, found.mean))
     };
     let read = cards.iter().filter(|card| card.entry.path.is_some());
@@ -55,8 +58,10 @@ pub(super) fn verdict(cards: &[Card]) -> Markup {
 
 /// The scores of all tiles.
 pub(super) fn section(options: &ReportOptions, cards: &[Card]) -> Markup {
-    let domains = cards.iter().map(|card| Domain::of(card.entry.shape.dims()));
-    let domains = domains.max_by_key(|domains| domains.len()).unwrap_or(&[]);
+    let columns = cards
+        .iter()
+        .map(|card| Coordinates::of(card.entry.scores.options.domain, card.entry.shape.dims()));
+    let columns = columns.max_by_key(|columns| columns.len()).unwrap_or(&[]);
     let [first, others @ ..] = ShownScore::ALL;
     html! {
         section aria-labelledby="scores" {
@@ -71,14 +76,14 @@ pub(super) fn section(options: &ReportOptions, cards: &[Card]) -> Markup {
                 "; ± is the standard error over them. The best of each column is bold. "
                 a href="#help" { "What they mean" } "."
             }
-            (table(first, Domain::All, true, cards))
-            @if domains.contains(&Domain::Pairs) {
-                (table(first, Domain::Pairs, false, cards))
+            (table(first, Coordinates::All, true, cards))
+            @if columns.contains(&Coordinates::Pairs) {
+                (table(first, Coordinates::Pairs, false, cards))
             }
             details {
                 summary { "After rounding to 8 and 16 bits, and accumulated over time" }
-                @for &domain in domains {
-                    @for part in others { (table(part, domain, false, cards)) }
+                @for &coordinates in columns {
+                    @for part in others { (table(part, coordinates, false, cards)) }
                 }
             }
         }
@@ -86,8 +91,9 @@ pub(super) fn section(options: &ReportOptions, cards: &[Card]) -> Markup {
 }
 
 /// One score of all tiles that have it.
-fn table(part: ShownScore, domain: Domain, whole: bool, cards: &[Card]) -> Markup {
-    let ratio = |card: &Card, class| (part.ratio)((part.scores)(&card.entry).class(class, domain)?);
+fn table(part: ShownScore, coordinates: Coordinates, whole: bool, cards: &[Card]) -> Markup {
+    let ratio =
+        |card: &Card, class| (part.ratio)((part.scores)(&card.entry).class(class, coordinates)?);
     let rows: Vec<&Card> =
         cards.iter().filter(|card| ratio(card, Class::ALL[0]).is_some()).collect();
     let compared = rows.len() > 1;
@@ -95,8 +101,10 @@ fn table(part: ShownScore, domain: Domain, whole: bool, cards: &[Card]) -> Marku
         rows.iter().map(|card| value(card)).fold(f64::INFINITY, f64::min)
     };
     let mean = |card: &Card, class| ratio(card, class).map_or(f64::INFINITY, |ratio| ratio.mean);
-    let bests = Class::ALL.map(|class| best_of(&|card| mean(card, class)));
-    let name = if domain == Domain::Pairs {
+    let domain = rows.first().map(|card| card.entry.scores.options.domain);
+    let classes = Class::of(domain.unwrap_or_default());
+    let bests = classes.iter().map(|&class| best_of(&|card| mean(card, class)));
+    let name = if coordinates == Coordinates::Pairs {
         format!("{}, random pairs of dimensions", part.title)
     } else {
         part.title.to_owned()
@@ -109,7 +117,7 @@ fn table(part: ShownScore, domain: Domain, whole: bool, cards: &[Card]) -> Marku
                     thead {
                         tr {
                             th scope="col" { "Tile" }
-                            @for class in Class::ALL { th scope="col" { (class.to_string()) } }
+                            @for class in classes { th scope="col" { (class.to_string()) } }
                             @if whole {
                                 @for (heading, _, _) in WHOLE { th scope="col" { (heading) } }
                             }
@@ -125,9 +133,9 @@ fn table(part: ShownScore, domain: Domain, whole: bool, cards: &[Card]) -> Marku
                                         ", " (card.entry.shape.frames()) " frames repeated"
                                     }
                                 }
-                                @for (class, best) in Class::ALL.into_iter().zip(bests) {
+                                @for (&class, best) in classes.iter().zip(bests.clone()) {
                                     @if let Some(found) = ratio(card, class) {
-                                        @let place = place(scores, class, domain);
+                                        @let place = place(scores, class, coordinates);
                                         @let pointer =
                                             format!("/{}/{place}/{}", part.field, part.measure);
                                         td.best[compared && found.mean == best] {
@@ -176,7 +184,7 @@ pub(super) fn of_tile(entry: &ScoredTile) -> Markup {
                     }
                     tbody {
                         @for (i, class) in scores.classes.iter().enumerate() {
-                            @let pairs = class.domain == Domain::Pairs;
+                            @let pairs = class.coordinates == Coordinates::Pairs;
                             tr {
                                 th scope="row" {
                                     (class.class.to_string()) @if pairs { ", random pairs" }
@@ -208,8 +216,8 @@ pub(super) fn of_tile(entry: &ScoredTile) -> Markup {
 }
 
 /// Where a class's scores stand.
-fn place(scores: &Scores, class: Class, domain: Domain) -> String {
-    let same = |score: &ClassScore| score.class == class && score.domain == domain;
+fn place(scores: &Scores, class: Class, coordinates: Coordinates) -> String {
+    let same = |score: &ClassScore| score.class == class && score.coordinates == coordinates;
     format!("classes/{}", scores.classes.iter().position(same).unwrap_or(0))
 }
 

@@ -91,12 +91,17 @@ fn convergence(card: &Card) -> Option<Plot> {
 
 fn histograms(number: usize, card: &Card) -> Markup {
     let (first, more) = card.pairs.split_at(card.pairs.len().min(PAIRS));
+    let domain = card.entry.scores.options.domain;
     let percent = format!("{:.0}", 100.0 * FULL);
     html! {
         h4 { "Histograms" }
         p.muted {
             "Share of the samples in each cell, relative to an even share. Gray is even, blue is \
              less, orange is more; full colour is " (percent) " % off."
+            @if !domain.is_square() {
+                " Samples of the " (domain.to_string()) " stand where an equal-area map from the \
+                 square has them; the viewer shows functions of these places."
+            }
         }
         div.pictures.heat { @for pair in first { (heat(pair, &card.title)) } }
         @if !more.is_empty() {
