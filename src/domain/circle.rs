@@ -39,11 +39,6 @@ impl Shape for Circle {
         1.0 - libm::acos(t.clamp(-1.0, 1.0)) / PI
     }
 
-    fn within(&self, _: [f64; 3], distance: f64) -> f64 {
-        // All points of the arc lie on one side of a chord.
-        1.0 - self.below(0.0, 1.0 - 0.5 * distance * distance)
-    }
-
     fn mean(&self) -> [f64; 3] {
         [0.0; 3]
     }

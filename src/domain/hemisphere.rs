@@ -1,9 +1,9 @@
-//! Unit vectors above a surface: evenly, or as light falls on a matt one.
+//! Unit vectors above a surface, evenly: the sky.
 //!
 //! With θ at an angle to the axis whose sine is s and cosine c, the points with θ·x = t lie on a
 //! circle, of which the part with cos ψ > −ct / (s√(1 − t²)) is above the surface. By Archimedes all
-//! circles have the same weight in dt dψ, so the density of projections is the length of that part
-//! (evenly), or the integral of the height over it (cosine); both have integrals in closed form.
+//! circles have the same weight in dt dψ, so the density of projections is the length of that part,
+//! whose integral has a closed form.
 
 use std::f64::consts::PI;
 
@@ -12,9 +12,6 @@ use super::{Shape, Surface, Symmetry};
 
 /// The upper half of the unit sphere, evenly.
 pub(super) struct Hemisphere;
-
-/// The same with a density of z/π.
-pub(super) struct Cosine;
 
 impl Shape for Hemisphere {
     fn dims(&self) -> usize {
@@ -56,10 +53,6 @@ impl Shape for Hemisphere {
         })
     }
 
-    fn within(&self, centre: [f64; 3], distance: f64) -> f64 {
-        1.0 - self.below(centre[2], 1.0 - 0.5 * distance * distance)
-    }
-
     fn mean(&self) -> [f64; 3] {
         [0.0, 0.0, 0.5]
     }
@@ -69,64 +62,13 @@ impl Shape for Hemisphere {
     }
 }
 
-impl Shape for Cosine {
-    fn dims(&self) -> usize {
-        3
-    }
-
-    fn symmetry(&self) -> Symmetry {
-        Symmetry::Axial
-    }
-
-    fn surface(&self) -> Surface {
-        Surface::Hemisphere
-    }
-
-    fn point(&self, place: [f64; 2]) -> [f64; 3] {
-        // A point of the disk, lifted (Malley).
-        let [x, y] = concentric(place);
-        [x, y, (1.0 - x * x - y * y).max(0.0).sqrt()]
-    }
-
-    fn place(&self, [x, y, _]: [f64; 3]) -> [f64; 2] {
-        square(x, y)
-    }
-
-    fn below(&self, axis: f64, t: f64) -> f64 {
-        mirrored(axis, t, |c, t| {
-            let s = (1.0 - c * c).max(0.0).sqrt();
-            if t <= -s {
-                0.0
-            } else if t >= s {
-                1.0 - c * (1.0 - t.min(1.0) * t.min(1.0))
-            } else {
-                let root = (s * s - t * t).sqrt();
-                let lifted = c * (1.0 - t * t) * half_angle(c, s, t);
-                0.5 + (libm::asin(t / s) + t * root - lifted) / PI
-            }
-        })
-    }
-
-    fn within(&self, centre: [f64; 3], distance: f64) -> f64 {
-        1.0 - self.below(centre[2], 1.0 - 0.5 * distance * distance)
-    }
-
-    fn mean(&self) -> [f64; 3] {
-        [0.0, 0.0, 2.0 / 3.0]
-    }
-
-    fn variances(&self) -> [f64; 3] {
-        [0.25, 0.25, 1.0 / 18.0]
-    }
-}
-
 /// Half the angle of the part of the circle θ·x = `t` that is above the surface, for |t| < s.
-fn half_angle(c: f64, s: f64, t: f64) -> f64 {
+pub(super) fn half_angle(c: f64, s: f64, t: f64) -> f64 {
     libm::acos((-c * t / (s * (1.0 - t * t).sqrt())).clamp(-1.0, 1.0))
 }
 
 /// A distribution that is known for directions with an axial component of 0 and more.
-fn mirrored(axis: f64, t: f64, upper: impl Fn(f64, f64) -> f64) -> f64 {
+pub(super) fn mirrored(axis: f64, t: f64, upper: impl Fn(f64, f64) -> f64) -> f64 {
     let share = if axis >= 0.0 { upper(axis, t) } else { 1.0 - upper(-axis, -t) };
     share.clamp(0.0, 1.0)
 }

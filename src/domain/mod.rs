@@ -14,6 +14,7 @@
 mod attraction;
 mod cdf;
 mod circle;
+mod cosine;
 mod disk;
 mod hemisphere;
 mod sphere;
@@ -126,8 +127,11 @@ trait Shape {
     }
     /// The share with θ·x < `t`, for a unit vector θ whose last component is `axis`.
     fn below(&self, axis: f64, t: f64) -> f64;
-    /// The share within a distance of `centre`, a point of the domain.
-    fn within(&self, centre: [f64; 3], distance: f64) -> f64;
+    /// The share within a distance of `centre`, a point of the domain: of unit vectors those on one
+    /// side of a plane.
+    fn within(&self, centre: [f64; 3], distance: f64) -> f64 {
+        1.0 - self.below(centre[self.dims() - 1], 1.0 - 0.5 * distance * distance)
+    }
     /// Means of a point's coordinates.
     fn mean(&self) -> [f64; 3];
     /// Their variances; they do not depend on each other linearly.
@@ -149,7 +153,7 @@ impl Domain {
             Self::Disk => Some(&disk::Disk),
             Self::Sphere => Some(&sphere::Sphere),
             Self::Hemisphere => Some(&hemisphere::Hemisphere),
-            Self::Cosine => Some(&hemisphere::Cosine),
+            Self::Cosine => Some(&cosine::Cosine),
         }
     }
 

@@ -43,10 +43,6 @@ impl Shape for Sphere {
         0.5 + 0.5 * t.clamp(-1.0, 1.0)
     }
 
-    fn within(&self, _: [f64; 3], distance: f64) -> f64 {
-        (0.25 * distance * distance).min(1.0)
-    }
-
     fn mean(&self) -> [f64; 3] {
         [0.0; 3]
     }

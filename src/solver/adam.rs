@@ -198,6 +198,39 @@ const LANES: usize = 32;
 /// Where the samples of a row live: the surface that they stay on, and their dimensions.
 pub type Place = (Surface, usize);
 
+/// A run of samples that is to be moved.
+trait Row: Sized {
+    /// Moves all of them, each coordinate by itself.
+    fn coordinates(self);
+    /// Moves `L` points of `N` coordinates, the first of them number `i`.
+    fn points<const N: usize, const L: usize>(&mut self, surface: Surface, i: usize);
+
+    /// Moves all of them, which have so many words, as their place wants it.
+    #[inline(always)]
+    fn step(self, place: Place, words: usize) {
+        // A surface that is known when this is compiled leaves no branch in a loop.
+        match place {
+            (Surface::Cube, _) => self.coordinates(),
+            (Surface::Ball, 2) => self.all_points::<2>(Surface::Ball, words),
+            (Surface::Ball, _) => self.all_points::<3>(Surface::Ball, words),
+            (Surface::Sphere, 2) => self.all_points::<2>(Surface::Sphere, words),
+            (Surface::Sphere, _) => self.all_points::<3>(Surface::Sphere, words),
+            (Surface::Hemisphere, _) => self.all_points::<3>(Surface::Hemisphere, words),
+        }
+    }
+
+    #[inline(always)]
+    fn all_points<const N: usize>(mut self, surface: Surface, words: usize) {
+        let whole = words / N / LANES * LANES;
+        for i in (0..whole).step_by(LANES) {
+            self.points::<N, LANES>(surface, i);
+        }
+        for i in whole..words / N {
+            self.points::<N, 1>(surface, i);
+        }
+    }
+}
+
 /// One step of a run of samples, in place.
 pub struct Update<'a, P> {
     /// What the step does.
@@ -219,19 +252,12 @@ impl<P: Component> Vectorized for Update<'_, P> {
 
     #[inline(always)]
     fn run<I: Isa>(self, _: I) {
-        // A surface that is known when this is compiled leaves no branch in a loop.
-        match self.place {
-            (Surface::Cube, _) => self.coordinates(),
-            (Surface::Ball, 2) => self.points::<2>(Surface::Ball),
-            (Surface::Ball, _) => self.points::<3>(Surface::Ball),
-            (Surface::Sphere, 2) => self.points::<2>(Surface::Sphere),
-            (Surface::Sphere, _) => self.points::<3>(Surface::Sphere),
-            (Surface::Hemisphere, _) => self.points::<3>(Surface::Hemisphere),
-        }
+        let (place, words) = (self.place, self.gradients.len());
+        self.step(place, words);
     }
 }
 
-impl<P: Component> Update<'_, P> {
+impl<P: Component> Row for Update<'_, P> {
     #[inline(always)]
     fn coordinates(self) {
         let n = self.gradients.len();
@@ -242,22 +268,12 @@ impl<P: Component> Update<'_, P> {
     }
 
     #[inline(always)]
-    fn points<const N: usize>(self, surface: Surface) {
+    fn points<const N: usize, const L: usize>(&mut self, surface: Surface, i: usize) {
         let Self { factors, gradients, samples: x, first: m, second: v, .. } = self;
-        let points = gradients.len() / N;
-        let whole = points / LANES * LANES;
-        for i in (0..whole).step_by(LANES) {
-            let next = factors.step_at::<P, N, LANES>(surface, gradients, [x, m, v], i);
-            put(next[0], x, i);
-            put(next[1], m, i);
-            put(next[2], v, i);
-        }
-        for i in whole..points {
-            let next = factors.step_at::<P, N, 1>(surface, gradients, [x, m, v], i);
-            put(next[0], x, i);
-            put(next[1], m, i);
-            put(next[2], v, i);
-        }
+        let next = factors.step_at::<P, N, L>(surface, gradients, [x, m, v], i);
+        put(next[0], x, i);
+        put(next[1], m, i);
+        put(next[2], v, i);
     }
 }
 
@@ -280,19 +296,12 @@ impl<P: Component> Vectorized for UpdateTo<'_, P> {
 
     #[inline(always)]
     fn run<I: Isa>(self, _: I) {
-        // A surface that is known when this is compiled leaves no branch in a loop.
-        match self.place {
-            (Surface::Cube, _) => self.coordinates(),
-            (Surface::Ball, 2) => self.points::<2>(Surface::Ball),
-            (Surface::Ball, _) => self.points::<3>(Surface::Ball),
-            (Surface::Sphere, 2) => self.points::<2>(Surface::Sphere),
-            (Surface::Sphere, _) => self.points::<3>(Surface::Sphere),
-            (Surface::Hemisphere, _) => self.points::<3>(Surface::Hemisphere),
-        }
+        let (place, words) = (self.place, self.gradients.len());
+        self.step(place, words);
     }
 }
 
-impl<P: Component> UpdateTo<'_, P> {
+impl<P: Component> Row for UpdateTo<'_, P> {
     #[inline(always)]
     fn coordinates(self) {
         let Self { factors, gradients, from, to, .. } = self;
@@ -305,22 +314,12 @@ impl<P: Component> UpdateTo<'_, P> {
     }
 
     #[inline(always)]
-    fn points<const N: usize>(self, surface: Surface) {
-        let Self { factors, gradients, from, to: [to_x, to_m, to_v], .. } = self;
-        let points = gradients.len() / N;
-        let whole = points / LANES * LANES;
-        for i in (0..whole).step_by(LANES) {
-            let next = factors.step_at::<P, N, LANES>(surface, gradients, from, i);
-            put(next[0], to_x, i);
-            put(next[1], to_m, i);
-            put(next[2], to_v, i);
-        }
-        for i in whole..points {
-            let next = factors.step_at::<P, N, 1>(surface, gradients, from, i);
-            put(next[0], to_x, i);
-            put(next[1], to_m, i);
-            put(next[2], to_v, i);
-        }
+    fn points<const N: usize, const L: usize>(&mut self, surface: Surface, i: usize) {
+        let Self { factors, gradients, from, to: [x, m, v], .. } = self;
+        let next = factors.step_at::<P, N, L>(surface, gradients, *from, i);
+        put(next[0], x, i);
+        put(next[1], m, i);
+        put(next[2], v, i);
     }
 }
 
