@@ -67,6 +67,9 @@ fn the_command_makes_and_scores_tiles_of_a_domain() {
         let mean = class["perceived"]["mean"].as_f64().unwrap();
         assert!((mean - 1.0).abs() < 0.1, "{class}");
     }
+    // A pixel's mean is compared with that of the domain, which is above ½ along the axis.
+    let residual = json["tiles"][1]["scores"]["residual"].as_f64().unwrap();
+    assert!((residual - 1.0).abs() < 0.15, "{residual}");
     // What 8 bits leave is made a unit vector again.
     let rounded = json["tiles"][0]["after_8_bits"]["classes"][1]["perceived"]["mean"].as_f64();
     let exact = json["tiles"][0]["scores"]["classes"][1]["perceived"]["mean"].as_f64();
