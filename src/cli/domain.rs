@@ -3,22 +3,22 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use perceptile::domain::Domain;
+use perceptile::domain::{Domain, DomainSpec};
 use perceptile::format::sidecar::Sidecar;
 
 use super::candidates::{self, Candidate};
-use super::exit::Failure;
+use super::exit::{Failure, Misuse};
 use super::source::SourceArgs;
 
 /// The flags that say the domain.
 #[derive(Debug, Clone, Args)]
 #[command(next_help_heading = "Domain")]
 pub struct DomainArgs {
-    /// Where the tiles' samples live: square, circle, disk, sphere, hemisphere or cosine; a vector of
-    /// length 1 has its components as 0.5 + 0.5 x [default: what the first tile was made for as its
-    /// sidecar says, else square]
+    /// Where the tiles' samples live: square, circle, disk, sphere, hemisphere, cosine or density(FILE);
+    /// a vector of length 1 has its components as 0.5 + 0.5 x [default: what the first tile was made for
+    /// as its sidecar says, else square]
     #[arg(long, value_name = "DOMAIN")]
-    domain: Option<Domain>,
+    domain: Option<DomainSpec>,
 
     /// A tile of the square to compare with, mapped to the domain by an equal-area map: of 1 dimension
     /// for the circle, else of 2; may be given several times
@@ -31,14 +31,18 @@ impl DomainArgs {
     /// it as far as rounding left it, and tiles that are mapped join them.
     ///
     /// # Errors
-    /// Samples that are not of the domain, tiles that cannot be read or mapped.
+    /// Samples that are not of the domain, tiles that cannot be read or mapped, a density that cannot be
+    /// read or is another one than the sidecar says.
     pub fn choose(
         &self,
         first: &Path,
         candidates: &mut Vec<Candidate>,
         source: &SourceArgs,
     ) -> Result<Domain, Failure> {
-        let domain = self.domain.or_else(|| of_sidecar(first, candidates)).unwrap_or_default();
+        let domain = match &self.domain {
+            Some(spec) => spec.resolve()?,
+            None => of_sidecar(first, candidates)?,
+        };
         for candidate in &mut *candidates {
             let adopted = domain.adopt(&candidate.tile);
             candidate.tile = adopted.map_err(|error| {
@@ -70,10 +74,39 @@ impl DomainArgs {
     }
 }
 
-/// The domain that a tile was made for, if its sidecar says it.
-fn of_sidecar(tile: &Path, candidates: &[Candidate]) -> Option<Domain> {
-    let candidate = candidates.iter().find(|it| it.path.as_deref() == Some(tile))?;
-    let sidecar = Sidecar::read(&Sidecar::find(tile)?).ok()?;
-    let domain = sidecar.options.pointer("/options/domain")?.as_str()?.parse().ok()?;
-    sidecar.describes(tile, candidate.tile.shape()).then_some(domain)
+/// The domain that a tile was made for, as its sidecar says; the square, if there is none.
+fn of_sidecar(tile: &Path, candidates: &[Candidate]) -> Result<Domain, Failure> {
+    let sidecar = || {
+        let candidate = candidates.iter().find(|it| it.path.as_deref() == Some(tile))?;
+        let path = Sidecar::find(tile)?;
+        let sidecar = Sidecar::read(&path).ok()?;
+        sidecar.describes(tile, candidate.tile.shape()).then_some((path, sidecar))
+    };
+    let Some((path, sidecar)) = sidecar() else { return Ok(Domain::Square) };
+    let of = |pointer: &str| sidecar.options.pointer(pointer).and_then(|value| value.as_str());
+    if let Some(name) = of("/options/domain") {
+        return Ok(name.parse()?);
+    }
+    let said = (of("/options/domain/density/name"), of("/options/domain/density/sha256"));
+    let (Some(name), Some(sha256)) = said else { return Ok(Domain::Square) };
+    density(&path, name, sha256)
+}
+
+/// The density that a sidecar names: where its path says, or beside the sidecar.
+fn density(sidecar: &Path, name: &str, sha256: &str) -> Result<Domain, Failure> {
+    let beside = Path::new(name).file_name().map(|file| sidecar.with_file_name(file));
+    let paths = [Some(PathBuf::from(name)), beside];
+    let there = paths.into_iter().flatten().find(|path| path.is_file());
+    let what = format!("{} says that samples have the density `{name}`", sidecar.display());
+    let hint = "say where it is with --domain density(FILE)";
+    let Some(path) = there else {
+        return Err(Misuse(format!("{what}, which is not there; {hint}")).into());
+    };
+    let domain = DomainSpec::File(path.display().to_string()).resolve()?;
+    match domain {
+        Domain::Density(density) if density.sha256() != sha256 => {
+            Err(Misuse(format!("{what}, but {} is another one; {hint}", path.display())).into())
+        }
+        domain => Ok(domain),
+    }
 }

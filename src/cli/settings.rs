@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::str::FromStr;
 
 use clap::Args;
-use perceptile::domain::Domain;
+use perceptile::domain::DomainSpec;
 use perceptile::kernel::KernelSpec;
 use perceptile::solver::{Options, Preset, Start};
 use perceptile::tile::{ShapeError, TileShape};
@@ -116,9 +116,10 @@ settings! {
     dims: usize,
 
     /// Where samples live: `square` (a cube of any dimensions), `circle` and `disk` (2 numbers), `sphere`,
-    /// `hemisphere` and `cosine` (3), all of radius 1/2 around 1/2 [default: square]
+    /// `hemisphere` and `cosine` (3), all of radius 1/2 around 1/2, or `density(FILE)`, the square as dense
+    /// as the gray levels of a PNG or of a .npy array of rows and columns [default: square]
     #[arg(value_name = "DOMAIN", help_heading = "Tile")]
-    domain: Domain => domain,
+    domain: DomainSpec,
 
     /// Seed of the random numbers [default: 1]
     #[arg(value_name = "N", help_heading = "Tile", value_parser = whole::<u64>)]
@@ -220,7 +221,8 @@ impl Settings {
         let shape = options.shape;
         let preset_size = TileSize([shape.width(), shape.height(), shape.frames()]);
         let size = self.tile.unwrap_or(preset_size);
-        let domain = self.domain.unwrap_or(options.domain);
+        let domain = self.domain.as_ref().map(DomainSpec::resolve).transpose()?;
+        let domain = domain.unwrap_or(options.domain);
         let dims = self.dims.or(domain.dims()).unwrap_or(shape.dims());
         let spp = self.spp.unwrap_or(shape.spp());
         options = options.with_domain(domain).with_shape(size.shape(spp, dims)?);
@@ -267,6 +269,7 @@ impl Settings {
         all.insert("tile".into(), size.into());
         all.insert("spp".into(), shape.spp().into());
         all.insert("dims".into(), shape.dims().into());
+        all.insert("domain".into(), options.domain.to_string().into());
         all.insert("start".into(), start.into());
         all
     }
@@ -314,7 +317,7 @@ mod tests {
             tile: Some(TileSize([9, n as usize, 4])),
             spp: Some(3),
             dims: Some(5),
-            domain: Some(Domain::Square),
+            domain: Some(DomainSpec::File("a star.png".into())),
             kernel: Some(
                 "0.5: gaussian(1.5) @ 90% + 0.5: table(\"a b.npy\", origin=(0, 1, 2))"
                     .parse()
@@ -397,7 +400,8 @@ mod tests {
 
     #[test]
     fn settings_reach_the_options() {
-        let (options, start) = full(0.25, 7).options().unwrap();
+        let settings = Settings { domain: None, ..full(0.25, 7) };
+        let (options, start) = settings.options().unwrap();
         assert_eq!(start, Some("it's here.npy".into()));
         assert_eq!((options.shape.height(), options.shape.spp(), options.shape.dims()), (7, 3, 5));
         assert_eq!((options.steps, options.stop_after, options.warp.frames), (7, Some(7), 7));

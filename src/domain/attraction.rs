@@ -25,14 +25,14 @@ pub struct Attraction {
 }
 
 impl Attraction {
-    pub(super) fn new(shape: &dyn Shape) -> Self {
+    pub(super) fn new(shape: &'static dyn Shape) -> Self {
         let symmetry = shape.symmetry();
         let node = |i: usize| {
             let at = i as f64 / CELLS as f64;
             match symmetry {
                 // By symmetry there is none around the middle, and none along a sphere.
                 _ if symmetry == Symmetry::Round && shape.surface().is_curved() => [0.0; 2],
-                Symmetry::Round | Symmetry::Cube => {
+                Symmetry::Round | Symmetry::Cube | Symmetry::None => {
                     let at = at.max(1e-3);
                     [(plane(shape, at) / (0.5 * at)) as f32, 0.0]
                 }
@@ -78,7 +78,7 @@ fn plane(shape: &dyn Shape, radius: f64) -> f64 {
     let angles = (0..4 * AROUND).map(|i| PI * (i as f64 + 0.5) / (4 * AROUND) as f64);
     let pull = |angle: f64| {
         let cos = libm::cos(angle);
-        (2.0 * shape.below(0.0, radius * cos) - 1.0) * cos
+        (2.0 * shape.below([cos, libm::sin(angle), 0.0], radius * cos) - 1.0) * cos
     };
     FRAC_PI_2 * angles.map(pull).sum::<f64>() / (4 * AROUND) as f64
 }
@@ -92,7 +92,7 @@ fn space(shape: &dyn Shape, [radius, height]: [f64; 2]) -> [f64; 2] {
         let flat = (1.0 - up * up).sqrt();
         for i in 0..AROUND {
             let cos = libm::cos(PI * (i as f64 + 0.5) / AROUND as f64);
-            let pull = 2.0 * shape.below(up, radius * flat * cos + height * up) - 1.0;
+            let pull = 2.0 * shape.below([0.0, 0.0, up], radius * flat * cos + height * up) - 1.0;
             sum[0] += pull * flat * cos;
             sum[1] += pull * up;
         }

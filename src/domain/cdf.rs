@@ -15,8 +15,8 @@ pub struct Cdf {
 }
 
 impl Cdf {
-    /// Of a function that rises from 0 to 1 over a range.
-    pub fn new(low: f64, length: f64, cdf: impl Fn(f64) -> f64) -> Self {
+    /// Of a function that rises from 0 to 1 over a range; it is asked from the lower end upwards.
+    pub fn new(low: f64, length: f64, mut cdf: impl FnMut(f64) -> f64) -> Self {
         let step = length / GRID as f64;
         let mut values: Vec<f64> = (0..=GRID).map(|i| cdf(low + i as f64 * step)).collect();
         values[GRID] = 1.0;
@@ -56,6 +56,14 @@ impl Cdf {
         }
         cdf[GRID] = 1.0;
         Self { low: 0.0, step, values: cdf }
+    }
+
+    /// Its value at a place.
+    pub fn at(&self, x: f64) -> f64 {
+        let place = ((x - self.low) / self.step).clamp(0.0, GRID as f64);
+        let node = (place as usize).min(GRID - 1);
+        let (low, high) = (self.values[node], self.values[node + 1]);
+        low + (high - low) * (place - node as f64)
     }
 
     /// The integral of the inverse from 0 to i/n, for every i that there is a place for.

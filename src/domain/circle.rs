@@ -22,7 +22,7 @@ impl Shape for Circle {
         Symmetry::Round
     }
 
-    fn surface(&self) -> Surface {
+    fn surface(&'static self) -> Surface {
         Surface::Sphere
     }
 
@@ -35,7 +35,7 @@ impl Shape for Circle {
         [turn(x, y), 0.0]
     }
 
-    fn below(&self, _: f64, t: f64) -> f64 {
+    fn below(&self, _: [f64; 3], t: f64) -> f64 {
         1.0 - libm::acos(t.clamp(-1.0, 1.0)) / PI
     }
 

@@ -21,7 +21,7 @@ impl Shape for Cosine {
         Symmetry::Axial
     }
 
-    fn surface(&self) -> Surface {
+    fn surface(&'static self) -> Surface {
         Surface::Hemisphere
     }
 
@@ -35,7 +35,7 @@ impl Shape for Cosine {
         square(x, y)
     }
 
-    fn below(&self, axis: f64, t: f64) -> f64 {
+    fn below(&self, [_, _, axis]: [f64; 3], t: f64) -> f64 {
         mirrored(axis, t, |c, t| {
             let s = (1.0 - c * c).max(0.0).sqrt();
             if t <= -s {

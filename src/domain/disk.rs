@@ -20,7 +20,7 @@ impl Shape for Disk {
         Symmetry::Round
     }
 
-    fn surface(&self) -> Surface {
+    fn surface(&'static self) -> Surface {
         Surface::Ball
     }
 
@@ -33,7 +33,7 @@ impl Shape for Disk {
         square(x, y)
     }
 
-    fn below(&self, _: f64, t: f64) -> f64 {
+    fn below(&self, _: [f64; 3], t: f64) -> f64 {
         let t = t.clamp(-1.0, 1.0);
         0.5 + (t * (1.0 - t * t).sqrt() + libm::asin(t)) / PI
     }

@@ -22,7 +22,7 @@ impl Shape for Hemisphere {
         Symmetry::Axial
     }
 
-    fn surface(&self) -> Surface {
+    fn surface(&'static self) -> Surface {
         Surface::Hemisphere
     }
 
@@ -39,7 +39,7 @@ impl Shape for Hemisphere {
         square(x / stretch, y / stretch)
     }
 
-    fn below(&self, axis: f64, t: f64) -> f64 {
+    fn below(&self, [_, _, axis]: [f64; 3], t: f64) -> f64 {
         mirrored(axis, t, |c, t| {
             let s = (1.0 - c * c).max(0.0).sqrt();
             if t <= -s {
@@ -69,6 +69,7 @@ pub(super) fn half_angle(c: f64, s: f64, t: f64) -> f64 {
 
 /// A distribution that is known for directions with an axial component of 0 and more.
 pub(super) fn mirrored(axis: f64, t: f64, upper: impl Fn(f64, f64) -> f64) -> f64 {
+    let axis = axis.clamp(-1.0, 1.0);
     let share = if axis >= 0.0 { upper(axis, t) } else { 1.0 - upper(-axis, -t) };
     share.clamp(0.0, 1.0)
 }

@@ -5,36 +5,46 @@
 //! targets of the descent ([`Domain::below`], [`Cdf`]); how a sample that was moved comes back
 //! ([`Surface`]); an equal-area map from the square and back, for starts and for cells
 //! ([`Domain::point`], [`Domain::place`]); how strongly the whole domain pulls at a point, for the
-//! polish ([`Attraction`]); shares of half-spaces and balls, for the scores. The rest of the program
+//! polish ([`Pull`]); shares of half-spaces and balls, for the scores. The rest of the program
 //! asks for these and knows no domain by name.
 //!
 //! A tile holds numbers in [0, 1), so a circle, disk or sphere is the one of radius ½ around ½; here
-//! points are those of the unit circle, disk or sphere around 0 where they are called *centred*.
+//! points are those of the unit circle, disk or sphere, or of the square [−1, 1]², around 0 where they
+//! are called *centred*.
 
 mod attraction;
 mod cdf;
 mod circle;
 mod cosine;
+mod density;
 mod disk;
 mod hemisphere;
+mod mask;
+mod picture;
+mod pull;
+mod read;
+mod spec;
 mod sphere;
 mod surface;
 
 pub use attraction::Attraction;
 pub use cdf::{Cdf, GRID};
+pub use density::{Density, DensityError, MAX_PIXELS};
+pub use mask::Mask;
+pub use pull::{Even, Plane, Pull, Uneven};
+pub use spec::DomainSpec;
 pub use surface::Surface;
 
 use std::fmt;
 use std::str::FromStr;
 
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use thiserror::Error;
 
 use crate::tile::{Tile, TileShape, clamp_coordinate};
 
 /// Where samples live.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 pub enum Domain {
     /// The unit square, or the cube of any other number of dimensions.
     #[default]
@@ -49,6 +59,8 @@ pub enum Domain {
     Hemisphere,
     /// The same with a density in proportion to the last component, as light falls on a matt surface.
     Cosine,
+    /// The unit square with a density in proportion to a picture's gray levels.
+    Density(Density),
 }
 
 /// A domain that does not go with the dimensions of a tile, or that there is none of.
@@ -87,10 +99,18 @@ pub enum DomainError {
         found: usize,
     },
     /// An unknown name.
-    #[error("`{found}` is no domain; there are: {}", Domain::NAMES.join(", "))]
+    #[error("`{found}` is no domain; there are: {}, density(FILE)", Domain::NAMES.join(", "))]
     Name {
         /// What was asked for.
         found: String,
+    },
+    /// A file that holds no density.
+    #[error("the density `{file}` {why}")]
+    File {
+        /// Path as given.
+        file: String,
+        /// What is wrong with it.
+        why: String,
     },
 }
 
@@ -103,6 +123,8 @@ pub enum Symmetry {
     Round,
     /// Those with the same last component.
     Axial,
+    /// None but opposite ones.
+    None,
 }
 
 /// What a domain other than the square says of itself, in centred coordinates.
@@ -116,7 +138,7 @@ trait Shape {
     /// Which directions see it alike.
     fn symmetry(&self) -> Symmetry;
     /// How moved samples come back.
-    fn surface(&self) -> Surface;
+    fn surface(&'static self) -> Surface;
     /// The point of a place in the unit square, such that equal areas have equal shares.
     fn point(&self, place: [f64; 2]) -> [f64; 3];
     /// The place of a point: the inverse of [`Self::point`].
@@ -125,21 +147,57 @@ trait Shape {
     fn has_uniform_projections(&self) -> bool {
         false
     }
-    /// The share with θ·x < `t`, for a unit vector θ whose last component is `axis`.
-    fn below(&self, axis: f64, t: f64) -> f64;
+    /// Whether its axes are other than directions between them.
+    fn has_axes(&self) -> bool {
+        false
+    }
+    /// Whether the warp moves places, which then have as many numbers as points.
+    fn is_warped_by_places(&self) -> bool {
+        false
+    }
+    /// The share with θ·x < `t`, for a unit vector θ.
+    fn below(&self, theta: [f64; 3], t: f64) -> f64;
+    /// The distribution of θ·x/2, which is in [−½, ½] on round domains.
+    fn cdf(&self, theta: [f64; 3]) -> Cdf {
+        Cdf::new(-0.5, 1.0, |t| self.below(theta, 2.0 * t))
+    }
     /// The share within a distance of `centre`, a point of the domain: of unit vectors those on one
     /// side of a plane.
     fn within(&self, centre: [f64; 3], distance: f64) -> f64 {
-        1.0 - self.below(centre[self.dims() - 1], 1.0 - 0.5 * distance * distance)
+        1.0 - self.below(centre, 1.0 - 0.5 * distance * distance)
+    }
+    /// The mean of exp(−|x − centre|² / 2σ²): its values on rings, by the shares of these.
+    fn gaussian(&self, centre: [f64; 3], sigma: f64) -> f64 {
+        /// Rings up to the domain's diameter of 2. Halving them changes no mean by 10⁻⁷.
+        const RINGS: usize = 4096;
+        let mut sum = 0.0;
+        let (mut inner, mut within) = (1.0, 0.0);
+        for ring in 1..=RINGS {
+            let distance = 2.0 * ring as f64 / RINGS as f64;
+            let outer = libm::exp(-0.5 * (distance / sigma) * (distance / sigma));
+            let share = self.within(centre, distance);
+            sum += 0.5 * (inner + outer) * (share - within);
+            (inner, within) = (outer, share);
+        }
+        sum
     }
     /// Means of a point's coordinates.
     fn mean(&self) -> [f64; 3];
-    /// Their variances; they do not depend on each other linearly.
+    /// Their variances.
     fn variances(&self) -> [f64; 3];
+    /// The variance of θ·x; by the variances alone where coordinates do not depend on each other
+    /// linearly.
+    fn variance(&self, theta: [f64; 3]) -> f64 {
+        theta.iter().zip(self.variances()).map(|(a, variance)| a * a * variance).sum()
+    }
+    /// How wide it is, in its own units.
+    fn spread(&self) -> f64 {
+        1.0
+    }
 }
 
 impl Domain {
-    /// All domains, the one that is meant without a word first.
+    /// All domains that a name says, the one that is meant without a word first.
     pub const ALL: [Self; 6] =
         [Self::Square, Self::Circle, Self::Disk, Self::Sphere, Self::Hemisphere, Self::Cosine];
     /// Their names, which users type.
@@ -154,12 +212,8 @@ impl Domain {
             Self::Sphere => Some(&sphere::Sphere),
             Self::Hemisphere => Some(&hemisphere::Hemisphere),
             Self::Cosine => Some(&cosine::Cosine),
+            Self::Density(density) => Some(density.picture()),
         }
-    }
-
-    /// Its number in [`Self::ALL`].
-    pub fn number(self) -> usize {
-        Self::ALL.iter().position(|&domain| domain == self).expect("a domain of the list")
     }
 
     /// Whether it is the square, or the cube.
@@ -225,6 +279,21 @@ impl Domain {
         self.shape().is_some_and(Shape::has_uniform_projections)
     }
 
+    /// Whether its axes are other than directions between them.
+    pub fn has_axes(self) -> bool {
+        self.shape().is_none_or(Shape::has_axes)
+    }
+
+    /// Whether the warp moves places, which then have as many numbers as points.
+    pub fn is_warped_by_places(self) -> bool {
+        self.shape().is_some_and(Shape::is_warped_by_places)
+    }
+
+    /// How wide it is, relative to a square or disk that fills the unit square.
+    pub fn spread(self) -> f64 {
+        self.shape().map_or(1.0, Shape::spread)
+    }
+
     /// How moved samples come back.
     pub fn surface(self) -> Surface {
         self.shape().map_or(Surface::Cube, Shape::surface)
@@ -252,6 +321,10 @@ impl Domain {
         for (x, y) in point.iter_mut().zip(centred) {
             *x = clamp_coordinate((0.5 + 0.5 * y) as f32);
         }
+        // Rounding may have put it on the first coordinate of an empty pixel.
+        if let (Surface::Mask(mask), [x, y]) = (self.surface(), point) {
+            [*x, *y] = mask.bring_back([*x, *y]);
+        }
     }
 
     /// The place in the unit square, of which a point that a tile has is [`Self::point`].
@@ -259,6 +332,22 @@ impl Domain {
         match self.shape() {
             None => point.iter().map(|&x| f64::from(x)).collect(),
             Some(shape) => shape.place(centred(point))[..self.parameters(point.len())].to_vec(),
+        }
+    }
+
+    /// Turns points of two dimensions into their places, where these have two numbers.
+    pub fn to_places(self, samples: &mut [f32]) {
+        if let Some(shape) = self.shape() {
+            for point in samples.as_chunks_mut::<2>().0 {
+                *point = shape.place(centred(point)).map(|u| clamp_coordinate(u as f32));
+            }
+        }
+    }
+
+    /// Turns places of two numbers into points, where these have two dimensions.
+    pub fn to_points(self, places: &mut [f32]) {
+        for place in places.as_chunks_mut::<2>().0 {
+            self.point(&place.map(f64::from), place);
         }
     }
 
@@ -296,9 +385,8 @@ impl Domain {
     /// # Panics
     /// If it is the square.
     pub fn below(self, theta: &[f64], offset: f64) -> f64 {
-        let shape = self.shape().expect("a domain with a distribution in closed form");
         let centre = 0.5 * theta.iter().sum::<f64>();
-        shape.below(axis(theta), 2.0 * (offset - centre))
+        self.known().below(vector(theta), 2.0 * (offset - centre))
     }
 
     /// The share of the domain within a distance of one of its points, both as a tile has them.
@@ -306,10 +394,32 @@ impl Domain {
     /// # Panics
     /// If it is the square.
     pub fn within(self, centre: &[f64], distance: f64) -> f64 {
-        let shape = self.shape().expect("a domain with a distribution in closed form");
-        let mut centred = [0.0; 3];
-        centred.iter_mut().zip(centre).for_each(|(y, x)| *y = 2.0 * x - 1.0);
-        shape.within(centred, 2.0 * distance)
+        self.known().within(middle(centre), 2.0 * distance)
+    }
+
+    /// The mean over the domain of exp(−|x − centre|² / 2σ²) around one of its points, as a tile has
+    /// them.
+    ///
+    /// # Panics
+    /// If it is the square.
+    pub fn gaussian(self, centre: &[f64], sigma: f64) -> f64 {
+        self.known().gaussian(middle(centre), 2.0 * sigma)
+    }
+
+    /// Mean and variance of θ·x, x as a tile has it.
+    ///
+    /// # Panics
+    /// If it is the square.
+    pub fn along(self, theta: &[f64]) -> (f64, f64) {
+        let (shape, theta) = (self.known(), vector(theta));
+        let mean: f64 =
+            theta.iter().zip(shape.mean()).map(|(a, mean)| a * (0.5 + 0.5 * mean)).sum();
+        (mean, 0.25 * shape.variance(theta))
+    }
+
+    /// What a domain other than the square says of itself.
+    fn known(self) -> &'static dyn Shape {
+        self.shape().expect("a domain other than the square")
     }
 
     /// Means and variances of a point's coordinates, as a tile has them.
@@ -325,16 +435,22 @@ impl Domain {
         match self.shape() {
             None => Cdf::of_sum(theta),
             Some(shape) => {
-                let axis = f64::from(theta[theta.len() - 1]);
-                Cdf::new(-0.5, 1.0, |t| shape.below(axis, 2.0 * t))
+                let mut wide = [0.0; 3];
+                wide.iter_mut().zip(theta).for_each(|(wide, &x)| *wide = f64::from(x));
+                shape.cdf(wide)
             }
         }
     }
 
-    /// How strongly the domain pulls at a point: the gradient of its mean distance from the domain.
-    /// `None` for the square, of which the polish has it in closed form.
-    pub fn attraction(self) -> Option<Attraction> {
-        self.shape().map(Attraction::new)
+    /// How strongly the domain pulls at a sample in the polish.
+    pub fn pull(self) -> Pull {
+        match self {
+            Self::Density(density) => Pull::Uneven(Uneven::new(density.picture())),
+            _ => self.shape().map_or_else(
+                || Pull::Even(Even::new()),
+                |shape| Pull::Chords(Attraction::new(shape)),
+            ),
+        }
     }
 }
 
@@ -345,9 +461,18 @@ fn with_dims(shape: TileShape, dims: usize, samples: Vec<f32>) -> Tile {
     Tile::new(shape.expect("a size within limits"), samples).expect("coordinates in [0, 1)")
 }
 
-/// The last component of a direction, which an axial domain has its distribution from.
-fn axis(theta: &[f64]) -> f64 {
-    theta[theta.len() - 1].clamp(-1.0, 1.0)
+/// A direction with three components.
+fn vector(theta: &[f64]) -> [f64; 3] {
+    let mut vector = [0.0; 3];
+    vector.iter_mut().zip(theta).for_each(|(to, &x)| *to = x);
+    vector
+}
+
+/// A point in double precision, centred.
+fn middle(point: &[f64]) -> [f64; 3] {
+    let mut centred = [0.0; 3];
+    centred.iter_mut().zip(point).for_each(|(y, x)| *y = 2.0 * x - 1.0);
+    centred
 }
 
 /// A point of a tile, centred.
@@ -357,22 +482,56 @@ fn centred(point: &[f32]) -> [f64; 3] {
     centred
 }
 
-/// The name that users type.
+/// The text that users type.
 impl fmt::Display for Domain {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.pad(Self::NAMES[self.number()])
+        DomainSpec::from(*self).fmt(f)
     }
 }
 
+/// Reads the file of a density.
 impl FromStr for Domain {
     type Err = DomainError;
 
-    fn from_str(name: &str) -> Result<Self, DomainError> {
-        let number = Self::NAMES.iter().position(|&it| it == name);
-        let number = number.ok_or_else(|| DomainError::Name { found: name.to_owned() })?;
-        Ok(Self::ALL[number])
+    fn from_str(text: &str) -> Result<Self, DomainError> {
+        text.parse::<DomainSpec>()?.resolve()
+    }
+}
+
+/// How processes and checkpoints have a domain, and people one of a density.
+#[derive(Serialize, Deserialize)]
+enum Whole {
+    Named(u8),
+    #[serde(rename = "density")]
+    Density(Density),
+}
+
+/// For people its name.
+impl Serialize for Domain {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let number = Self::ALL.iter().position(|domain| domain == self);
+        match (self, number) {
+            (Self::Density(density), _) => Whole::Density(*density).serialize(serializer),
+            _ if serializer.is_human_readable() => serializer.collect_str(self),
+            (_, number) => Whole::Named(number.unwrap_or_default() as u8).serialize(serializer),
+        }
+    }
+}
+
+impl<'de> Deserialize<'de> for Domain {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        if deserializer.is_human_readable() {
+            return String::deserialize(deserializer)?.parse().map_err(serde::de::Error::custom);
+        }
+        match Whole::deserialize(deserializer)? {
+            Whole::Density(density) => Ok(Self::Density(density)),
+            Whole::Named(number) => Self::ALL
+                .get(usize::from(number))
+                .copied()
+                .ok_or_else(|| serde::de::Error::custom(format!("there is no domain {number}"))),
+        }
     }
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

@@ -20,7 +20,7 @@ impl Shape for Sphere {
         Symmetry::Round
     }
 
-    fn surface(&self) -> Surface {
+    fn surface(&'static self) -> Surface {
         Surface::Sphere
     }
 
@@ -39,7 +39,7 @@ impl Shape for Sphere {
         true
     }
 
-    fn below(&self, _: f64, t: f64) -> f64 {
+    fn below(&self, _: [f64; 3], t: f64) -> f64 {
         0.5 + 0.5 * t.clamp(-1.0, 1.0)
     }
 

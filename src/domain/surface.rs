@@ -1,13 +1,16 @@
 //! How a sample that was moved comes back to its domain, in single precision and the same on every
 //! machine: sums, one root and one division, all of them rounded as IEEE 754 says.
 
+use super::mask::Mask;
 use crate::tile::clamp_coordinate;
 
-/// How samples come back. All are in a cube of side 1, of radius ½ around its middle.
+/// How samples come back, in a cube of side 1; round ones have a radius of ½ around its middle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Surface {
     /// Each coordinate by itself, into [0, 1).
     Cube,
+    /// The same, then out of the empty pixels of a picture.
+    Mask(&'static Mask),
     /// From outside of a disk or ball straight to its border.
     Ball,
     /// Straight to the circle or sphere.
@@ -23,6 +26,12 @@ impl Surface {
         matches!(self, Self::Sphere | Self::Hemisphere)
     }
 
+    /// Whether a ball of radius ½ holds all of it.
+    #[inline(always)]
+    pub fn is_round(self) -> bool {
+        !matches!(self, Self::Cube | Self::Mask(_))
+    }
+
     /// Brings `L` points back, which have a plane of coordinates for each dimension.
     ///
     /// Plane after plane and without branches, so that it becomes instructions for many points.
@@ -30,7 +39,7 @@ impl Surface {
     pub fn bring_back<const N: usize, const L: usize>(self, points: &mut [[f32; L]; N]) {
         /// Points that are nearer to the middle have no direction that could be trusted.
         const LEAST: f32 = 1e-12;
-        if self != Self::Cube {
+        if self.is_round() {
             let mut squares = [0.0; L];
             for (k, plane) in points.iter_mut().enumerate() {
                 let is_last = k == N - 1;
@@ -57,8 +66,13 @@ impl Surface {
                 }
             }
         }
-        for plane in points {
+        for plane in &mut *points {
             plane.iter_mut().for_each(|x| *x = clamp_coordinate(*x));
+        }
+        if let (Self::Mask(mask), [xs, ys, ..]) = (self, &mut points[..]) {
+            for (x, y) in xs.iter_mut().zip(ys) {
+                [*x, *y] = mask.bring_back([*x, *y]);
+            }
         }
     }
 

@@ -4,7 +4,8 @@
 //! are those of a fixed set, multiplied by random signed permutations of the axes: the projection
 //! of a uniform density depends on the magnitudes of the components only, so one table serves all
 //! images of a direction. Directions along a pair of axes, or one axis, are closed forms as well.
-//! In other domains one table serves all directions that see the domain alike.
+//! In other domains one table serves all directions that see the domain alike; a density that none
+//! sees as another does has those of a fixed set alone.
 
 use crate::domain::{Domain, Symmetry};
 use crate::draw::{Stream, Use};
@@ -67,6 +68,10 @@ impl DirectionSet {
     /// at equal distances, and turned around the axis by any angle.
     pub const HEIGHTS: usize = 64;
 
+    /// Number of directions in the fixed set of a density on the square, at equal angles; behind them
+    /// are both axes.
+    pub const ANGLES: usize = 256;
+
     /// The set for a domain in `dims` dimensions; it does not depend on any seed.
     pub fn new(domain: Domain, dims: usize) -> Self {
         let symmetry = domain.symmetry();
@@ -82,6 +87,13 @@ impl DirectionSet {
                     let height = height(index);
                     unit(dims - 1, height, libm::sqrt(1.0 - height * height))
                 })
+                .collect(),
+            Symmetry::None => (0..Self::ANGLES)
+                .map(|index| {
+                    let (sin, cos) = half_turn((index as f64 + 0.5) / Self::ANGLES as f64);
+                    unit(1, sin, cos)
+                })
+                .chain([unit(1, 0.0, 1.0), unit(1, 1.0, 0.0)])
                 .collect(),
         };
         Self { domain, symmetry, dims, representatives }
@@ -136,6 +148,10 @@ impl DirectionSet {
             };
             Direction { theta, density }
         };
+        if self.symmetry == Symmetry::None {
+            let index = ((u * Self::ANGLES as f64) as usize).min(Self::ANGLES - 1);
+            return self.listed(index);
+        }
         if self.dims == 2 {
             return table(self.pair(0, 1, u).theta, 0);
         }
@@ -183,8 +199,34 @@ impl DirectionSet {
     pub fn random_axis(&self, u: f64, stream: &mut Stream) -> Direction {
         match self.symmetry {
             Symmetry::Cube => self.axis(stream.below(self.dims as u32) as usize),
+            Symmetry::None => self.listed(Self::ANGLES + stream.below(2) as usize),
             _ => self.turned(u, stream),
         }
+    }
+
+    /// The direction across one that is in the plane of a pair of axes.
+    pub fn across(&self, first: &Direction) -> Direction {
+        if let (Symmetry::None, Density::Table { index }) = (self.symmetry, first.density) {
+            let index = index as usize;
+            let angle = (index + Self::ANGLES / 2) % Self::ANGLES;
+            let axis = (2 * Self::ANGLES + 1).saturating_sub(index);
+            return self.listed(if index < Self::ANGLES { angle } else { axis });
+        }
+        let mut second = Direction { theta: [0.0; MAX_DIMS], ..*first };
+        let mut pair = (0..self.dims).filter(|&k| first.theta[k] != 0.0);
+        let (a, b) = match (pair.next(), pair.next()) {
+            (Some(a), Some(b)) => (a, b),
+            (Some(a), None) => (a, (a + 1) % self.dims),
+            _ => (0, 1),
+        };
+        (second.theta[a], second.theta[b]) = (-first.theta[b], first.theta[a]);
+        second
+    }
+
+    /// Number `index` of the fixed set.
+    fn listed(&self, index: usize) -> Direction {
+        let theta = self.representatives[index];
+        Direction { theta, density: Density::Table { index: index as u32 } }
     }
 
     /// Along an axis.

@@ -5,8 +5,9 @@
 //! the mean has a closed form, written so that nothing cancels; along others, and in other domains,
 //! it comes from tables.
 
+use std::collections::HashMap;
 use std::f64;
-use std::sync::{Arc, OnceLock};
+use std::sync::{Arc, LazyLock, Mutex, OnceLock, PoisonError};
 
 use super::simd::{Isa, PLACES};
 use crate::domain::{Cdf, Domain, Symmetry};
@@ -17,8 +18,12 @@ use crate::tile::MAX_DIMS;
 #[derive(Debug, Clone)]
 pub struct Targets {
     dims: usize,
+    /// Whether the domain is in a ball of radius ½.
+    round: bool,
     /// Whether tables count from the middle of the cube on, not from the lower end of a projection.
     centred: bool,
+    /// Whether projections may have gaps.
+    has_gaps: bool,
     /// Whether a projection's distribution may be other than its mirror image.
     skewed: bool,
     /// For every direction of the fixed set.
@@ -44,8 +49,10 @@ pub(super) const NODES: usize = 2048;
 
 /// Tables of every domain and every number of dimensions that was asked for: they depend on nothing
 /// else, and take a tenth of a second and some megabytes.
-static TABLES: [[OnceLock<Arc<[Table]>>; MAX_DIMS + 1]; Domain::ALL.len()] =
-    [const { [const { OnceLock::new() }; MAX_DIMS + 1] }; Domain::ALL.len()];
+static TABLES: LazyLock<Mutex<Tables>> = LazyLock::new(Mutex::default);
+
+/// The tables of each domain and number of dimensions.
+type Tables = HashMap<(Domain, usize), Arc<[Table]>>;
 
 impl Targets {
     /// Tables for the directions of `set`.
@@ -53,15 +60,23 @@ impl Targets {
         let (domain, dims) = (set.domain(), set.dims());
         let table = |theta: &[f32; MAX_DIMS]| Table::new(domain, &theta[..dims]);
         let all = || set.representatives().iter().map(table).collect();
-        let tables = TABLES[domain.number()][dims].get_or_init(all).clone();
-        let (centred, skewed) = (!domain.is_square(), domain.symmetry() == Symmetry::Axial);
-        Self { dims, centred, skewed, tables, root_means: root_means(1024) }
+        let mut known = TABLES.lock().unwrap_or_else(PoisonError::into_inner);
+        let tables = known.entry((domain, dims)).or_insert_with(all).clone();
+        Self {
+            dims,
+            round: domain.surface().is_round(),
+            centred: !domain.is_square(),
+            has_gaps: domain.symmetry() == Symmetry::None,
+            skewed: matches!(domain.symmetry(), Symmetry::Axial | Symmetry::None),
+            tables,
+            root_means: root_means(1024),
+        }
     }
 
     /// Lowest projection of a point of the domain, and how far above it the highest one may be.
     pub fn extent(&self, direction: &Direction) -> (f32, f32) {
         let (low, length) = direction.extent(self.dims);
-        if self.centred { (low + 0.5 * length - 0.5, 1.0) } else { (low, length) }
+        if self.round { (low + 0.5 * length - 0.5, 1.0) } else { (low, length) }
     }
 
     /// The inverse CDF along `direction` at `u` in [0, 1], counted from the start of its extent.
@@ -79,13 +94,35 @@ impl Targets {
             }
             Density::Uniform => u,
             Density::Table { index } => {
-                let table = &self.tables[index as usize].integrals;
-                let (low, high) =
-                    ((u - 0.5 / NODES as f64).max(0.0), (u + 0.5 / NODES as f64).min(1.0));
-                let mean = (integral(table, high) - integral(table, low)) / (high - low);
-                if self.centred { mean + 0.5 } else { mean }
+                let half = 0.5 / NODES as f64;
+                let mean = self.mean_of(index, (u - half).max(0.0), (u + half).min(1.0));
+                if self.centred { mean + 0.5 * f64::from(self.extent(direction).1) } else { mean }
             }
         }
+    }
+
+    /// How far a sample at a place has to go that should be the quantile of `u`, both counted from the
+    /// start of the extent. Across a gap in a density a whole range of places is as good: to the
+    /// nearest of them.
+    pub fn displacement(&self, direction: &Direction, u: f64, place: f64) -> f64 {
+        match direction.density {
+            Density::Table { index } if self.has_gaps => {
+                let step = 1.0 / NODES as f64;
+                let (low, high) = ((u - step).max(0.0), (u + step).min(1.0));
+                let length = f64::from(self.extent(direction).1);
+                let mean = |low: f64, high: f64| self.mean_of(index, low, high) + 0.5 * length;
+                let below = if low < u { mean(low, u) } else { 0.0 };
+                let above = if u < high { mean(u, high) } else { length };
+                place.clamp(below.min(above), above) - place
+            }
+            _ => self.quantile(direction, u) - place,
+        }
+    }
+
+    /// The mean of the inverse CDF of a table from `low` to `high`.
+    fn mean_of(&self, index: u32, low: f64, high: f64) -> f64 {
+        let table = &self.tables[index as usize].integrals;
+        (integral(table, high) - integral(table, low)) / (high - low)
     }
 
     /// Writes the targets along `direction` of all ranks of a set of `targets.len()` samples;
@@ -372,7 +409,9 @@ mod tests {
         let tables = Arc::new([Table::new(Domain::Square, &[a, b])]);
         let targets = Targets {
             dims: 3,
+            round: false,
             centred: false,
+            has_gaps: false,
             skewed: false,
             tables,
             root_means: root_means(1024),

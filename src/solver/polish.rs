@@ -27,7 +27,7 @@ use perceptile_cluster::shared::{MapError, Parts, Section, Words};
 use perceptile_cluster::{Ends, Worker};
 use serde::{Deserialize, Serialize};
 
-use crate::domain::{Attraction, Domain, Surface};
+use crate::domain::{Attraction, Domain, Plane, Pull, Surface};
 use crate::format::numbers::{ArraySource, NumberSink};
 use crate::gradient::simd::{Isa, Simd, Vectorized};
 use crate::kernel::KernelClass;
@@ -235,7 +235,7 @@ impl Polish {
             state,
             sight,
             totals,
-            pull: Pull::of(domain),
+            pull: domain.pull(),
             surface: domain.surface(),
             gradients: work.parts(bands.iter().map(|band| part(band).collect()).collect()),
             bands,
@@ -427,11 +427,11 @@ impl Vectorized for FrameJob<'_> {
         let Self { frame, gradients } = self;
         let (spp, dims) = (frame.shape.spp(), frame.shape.dims());
         match frame.pull {
-            Pull::Square(density) => frame.each(|place, s, at, size| {
+            Pull::Even(plane) => frame.each(|place, s, at, size| {
                 for b in 0..dims {
                     // A lone dimension is its own pair.
                     for a in 0..b.max(usize::from(dims == 1)) {
-                        let [first, second] = frame.pair(density, place, s, a, b);
+                        let [first, second] = frame.pair(plane, place, s, a, b);
                         for lane in 0..size {
                             let word = (at + lane * spp) * dims;
                             gradients[word + a] += first[lane];
@@ -442,25 +442,20 @@ impl Vectorized for FrameJob<'_> {
                     }
                 }
             }),
-            Pull::Domain(attraction) if dims == 2 => frame.each(|place, s, at, size| {
+            Pull::Uneven(plane) => frame.each(|place, s, at, size| {
+                let [first, second] = frame.pair(plane, place, s, 0, 1);
+                for lane in 0..size {
+                    let word = (at + lane * spp) * dims;
+                    (gradients[word], gradients[word + 1]) = (first[lane], second[lane]);
+                }
+            }),
+            Pull::Chords(attraction) if dims == 2 => frame.each(|place, s, at, size| {
                 frame.chords::<2>(attraction, place, s, &mut gradients[at * dims..], size);
             }),
-            Pull::Domain(attraction) => frame.each(|place, s, at, size| {
+            Pull::Chords(attraction) => frame.each(|place, s, at, size| {
                 frame.chords::<3>(attraction, place, s, &mut gradients[at * dims..], size);
             }),
         }
-    }
-}
-
-/// What pulls a sample towards the whole domain.
-enum Pull {
-    Square(Density),
-    Domain(Attraction),
-}
-
-impl Pull {
-    fn of(domain: Domain) -> Self {
-        domain.attraction().map_or_else(|| Self::Square(Density::new()), Self::Domain)
     }
 }
 
@@ -539,9 +534,9 @@ impl Frame<'_> {
     /// The gradient on dimensions `a` and `b` of sample `s` of the pixels from `place` on; where they
     /// are one, on that alone.
     #[inline(always)]
-    fn pair(
+    fn pair<P: Plane>(
         &self,
-        density: &Density,
+        plane: &P,
         place: usize,
         s: usize,
         a: usize,
@@ -556,23 +551,29 @@ impl Frame<'_> {
             [row(a), if a == b { [0.0; LANES] } else { row(b) }]
         };
         let at = load(s, place);
+        let mut densities = [[0.0_f32; LANES]; 2];
+        for lane in 0..LANES {
+            [densities[0][lane], densities[1][lane]] = plane.densities([at[0][lane], at[1][lane]]);
+        }
         let mut gradient = [[0.0_f32; LANES]; 2];
+        let mut push = |other: [[f32; LANES]; 2], weight: f32| {
+            self.terms.push::<P>(&mut gradient, (at, densities), other, weight);
+        };
         for other in 0..self.shape.spp() {
             let Layer { words, own } = &self.layers[self.of_samples[s.max(other)]];
             if other != s {
-                self.terms.push(&mut gradient, at, load(other, place), *own);
+                push(load(other, place), *own);
             }
             for &(word, weight) in words {
-                let from = (place as i32 + word) as usize;
-                self.terms.push(&mut gradient, at, load(other, from), weight);
+                push(load(other, (place as i32 + word) as usize), weight);
             }
         }
-        let away = self.terms.axis + 0.5 * self.terms.linear;
         for lane in 0..LANES {
-            let [x, y] = [at[0][lane], at[1][lane]];
-            let [gx, gy] = if a == b { [2.0 * x - 1.0, 0.0] } else { density.gradient(x, y) };
-            gradient[0][lane] -= self.totals[s] * (gx + away * (2.0 * x - 1.0));
-            gradient[1][lane] -= self.totals[s] * (gy + away * (2.0 * y - 1.0));
+            let point @ [x, _] = [at[0][lane], at[1][lane]];
+            let [gx, gy] = if a == b { [2.0 * x - 1.0, 0.0] } else { plane.gradient(point) };
+            let [sx, sy] = plane.sides(point, self.terms.axis, self.terms.linear);
+            gradient[0][lane] -= self.totals[s] * (gx + sx);
+            gradient[1][lane] -= self.totals[s] * (gy + sy);
         }
         gradient
     }
@@ -586,12 +587,12 @@ struct Terms {
 }
 
 impl Terms {
-    /// Adds the push of one neighbour for each lane.
+    /// Adds the push of one neighbour for each lane, at whose coordinates samples are so dense.
     #[inline(always)]
-    fn push(
+    fn push<P: Plane>(
         self,
         gradient: &mut [[f32; LANES]; 2],
-        at: [[f32; LANES]; 2],
+        (at, densities): ([[f32; LANES]; 2], [[f32; LANES]; 2]),
         other: [[f32; LANES]; 2],
         weight: f32,
     ) {
@@ -600,9 +601,13 @@ impl Terms {
             let dx = at[0][lane] - other[0][lane];
             let dy = at[1][lane] - other[1][lane];
             let by = weight * (inverse_root(dx * dx + dy * dy) + self.linear);
+            let [along_x, along_y] = match P::IS_EVEN {
+                true => [axis; 2],
+                false => [axis * densities[0][lane], axis * densities[1][lane]],
+            };
             // At 0 the sign does not matter: samples on one line are a chance of rounding.
-            gradient[0][lane] += by * dx + signed(axis, dx);
-            gradient[1][lane] += by * dy + signed(axis, dy);
+            gradient[0][lane] += by * dx + signed(along_x, dx);
+            gradient[1][lane] += by * dy + signed(along_y, dy);
         }
     }
 }
@@ -629,60 +634,10 @@ fn inverse_root(x: f32) -> f32 {
     y
 }
 
-/// The gradient of the mean distance from a point to the unit square, on a grid.
-#[derive(Debug, Clone)]
-struct Density {
-    /// Along x; along y it is the transpose.
-    grid: Vec<f32>,
-}
-
-impl Density {
-    const CELLS: usize = 256;
-
-    fn new() -> Self {
-        let at = |i: usize| i as f64 / Self::CELLS as f64;
-        let grid = (0..=Self::CELLS)
-            .flat_map(|j| {
-                (0..=Self::CELLS).map(move |i| {
-                    (distances_to_side(at(i), at(j)) - distances_to_side(1.0 - at(i), at(j))) as f32
-                })
-            })
-            .collect();
-        Self { grid }
-    }
-
-    #[inline(always)]
-    fn gradient(&self, x: f32, y: f32) -> [f32; 2] {
-        let cells = Self::CELLS as f32;
-        let (px, py) = (x.clamp(0.0, 1.0) * cells, y.clamp(0.0, 1.0) * cells);
-        [self.bilinear(px, py), self.bilinear(py, px)]
-    }
-
-    #[inline(always)]
-    fn bilinear(&self, x: f32, y: f32) -> f32 {
-        let (i, j) = ((x as usize).min(Self::CELLS - 1), (y as usize).min(Self::CELLS - 1));
-        let (fx, fy) = (x - i as f32, y - j as f32);
-        let at = |i: usize, j: usize| self.grid[j * (Self::CELLS + 1) + i];
-        let low = at(i, j) + (at(i + 1, j) - at(i, j)) * fx;
-        let high = at(i, j + 1) + (at(i + 1, j + 1) - at(i, j + 1)) * fx;
-        low + (high - low) * fy
-    }
-}
-
-/// ∫₀¹ √(x² + (y − v)²) dv: the distances from (x, y) to the points of the side at x = 0. The
-/// gradient of the mean distance to the square is the difference of two opposite sides.
-fn distances_to_side(x: f64, y: f64) -> f64 {
-    let part = |s: f64| {
-        let root = (x * x + s * s).sqrt();
-        let log = if x > 0.0 { x * x * libm::asinh(s / x) } else { 0.0 };
-        0.5 * (s * root + log)
-    };
-    part(y) + part(1.0 - y)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::domain::tests::densities;
     use crate::kernel::KernelSpec;
     use crate::metric::Baseline;
     use crate::tile::{Tile, TileShape};
@@ -699,8 +654,9 @@ mod tests {
     /// from the filter's own rows, V by quadrature.
     struct Slow {
         shape: TileShape,
-        /// Points of the domain in whose dimensions chords are, if it is not the square.
-        domain: Option<Tile>,
+        /// Points of the domain in whose dimensions chords are, if it is not the square, and the mean
+        /// density of coordinates along each axis that it has.
+        domain: Option<(Domain, Tile, Vec<f64>)>,
         classes: Vec<SlowClass>,
         axis: f64,
         linear: f64,
@@ -715,7 +671,19 @@ mod tests {
         ) -> Self {
             // One pixel's points are those of a sequence.
             let many = TileShape::new(1, 1, 1 << 14, 1, shape.dims()).unwrap();
-            let domain = (!domain.is_square()).then(|| Baseline::Sobol.tile_of(domain, many, 1));
+            let known = || {
+                let points = Baseline::Sobol.tile_of(domain, many, 1);
+                // ∫f² from the shares of a thousand strips or so.
+                let mean = |k: usize| {
+                    const STRIPS: usize = 35 * 30;
+                    let below = |i: usize| share_below(domain, k, i as f64 / STRIPS as f64);
+                    let rise = |i: usize| below(i + 1) - below(i);
+                    (0..STRIPS).map(|i| rise(i) * rise(i)).sum::<f64>() * STRIPS as f64
+                };
+                let axes = if domain.has_axes() { shape.dims() } else { 0 };
+                (domain, points, (0..axes).map(mean).collect())
+            };
+            let domain = (!domain.is_square()).then(known);
             let size =
                 IVec3::new(shape.width() as i32, shape.height() as i32, shape.frames() as i32);
             let mut all = Vec::new();
@@ -785,20 +753,38 @@ mod tests {
         }
 
         /// The part of the energy of chords that depends on one sample.
-        fn energy_of_chords(&self, domain: &Tile, points: &[f64], sample: usize) -> f64 {
+        fn energy_of_chords(
+            &self,
+            (domain, many, densities): &(Domain, Tile, Vec<f64>),
+            points: &[f64],
+            sample: usize,
+        ) -> f64 {
             let dims = self.shape.dims();
             let x = &points[sample * dims..(sample + 1) * dims];
             let distance = |u: &mut dyn Iterator<Item = f64>| {
                 let square: f64 = x.iter().zip(u).map(|(x, u)| (x - u) * (x - u)).sum();
                 square.sqrt() + 0.5 * self.linear * square
             };
-            let all = domain.samples().chunks(dims);
+            let all = many.samples().chunks(dims);
             let mean = all.clone().map(|u| distance(&mut u.iter().map(|&u| f64::from(u))));
             let mean = mean.sum::<f64>() / all.len() as f64;
+            // Of single coordinates it is the share between them that counts.
+            let share = |k: usize, x: f64| share_below(*domain, k, x);
+            let between = |u: &[f64]| -> f64 {
+                let of =
+                    |(k, density): (usize, &f64)| (share(k, x[k]) - share(k, u[k])).abs() / density;
+                self.axis * densities.iter().enumerate().map(of).sum::<f64>()
+            };
+            let mean_between = |(k, density): (usize, &f64)| {
+                let below = share(k, x[k]);
+                0.5 * (below * below + (1.0 - below) * (1.0 - below)) / density
+            };
+            let mean_between: f64 = densities.iter().enumerate().map(mean_between).sum();
             (0..self.shape.samples())
                 .map(|other| {
-                    let u = &mut points[other * dims..(other + 1) * dims].iter().copied();
-                    self.weight(sample, other) * (mean - distance(u))
+                    let u = &points[other * dims..(other + 1) * dims];
+                    let away = distance(&mut u.iter().copied()) + between(u);
+                    self.weight(sample, other) * (mean + self.axis * mean_between - away)
                 })
                 .sum()
         }
@@ -831,6 +817,13 @@ mod tests {
         }
     }
 
+    /// The share of a domain whose coordinate `k` is below `x`.
+    fn share_below(domain: Domain, k: usize, x: f64) -> f64 {
+        let mut axis = vec![0.0; domain.dims().unwrap()];
+        axis[k] = 1.0;
+        domain.below(&axis, x)
+    }
+
     fn polish((tile, domain): (&Tile, Domain), classes: &[KernelClass], simd: Simd) -> Polish {
         let adam =
             AdamOptions { rate: 0.01, final_rate: 0.0, beta1: 0.9, beta2: 0.99, epsilon: 1e-8 };
@@ -858,6 +851,8 @@ mod tests {
             ([9, 4, 3, 1, 3], SIGNED, Domain::Sphere),
             ([5, 4, 4, 2, 3], SEQUENCE, Domain::Hemisphere),
             ([7, 5, 3, 1, 3], SIGNED, Domain::Cosine),
+            ([9, 5, 3, 1, 2], SIGNED, densities()[0]),
+            ([5, 4, 4, 2, 2], SEQUENCE, densities()[1]),
         ] {
             let shape = TileShape::new(width, height, frames, spp, dims).unwrap();
             let tile = Baseline::White.tile_of(domain, shape, 6);

@@ -8,6 +8,11 @@
 //! transfer, Pitié et al. 2005). The map depends on the place of a sample in the cube only, so
 //! neighbours in the cube stay neighbours, and the error's distribution over pixels survives.
 //!
+//! A density on the square may have details that no projection resolves. There the second half of the
+//! frames moves the samples' places, as samples of the square. (Alone it would have to move them
+//! further, and then it tears neighbours apart at gaps and corners.) Measured at 64×64×16 on a
+//! landscape with a lamp: cells are within 0.96–1.04 of their share, and not within 0.84–1.18.
+//!
 //! Distributions are integer histograms of fixed bins, which add up alike in one process and on
 //! a cluster.
 
@@ -77,11 +82,16 @@ pub fn warp(
         section.parts::<i64>((0..jobs).map(part).collect())
     });
 
-    let (set, surface) = (DirectionSet::new(domain, dims), domain.surface());
-    let targets = Targets::new(&set);
+    let space = Space::new(domain, dims);
+    // The frame after which it is places that are moved, if it is.
+    let turn = if domain.is_warped_by_places() { frames / 2 } else { frames };
+    let square = (turn < frames).then(|| Space::new(Domain::Square, dims));
+    let space_of = |frame: u32| square.as_ref().filter(|_| frame > turn).unwrap_or(&space);
+    // Those along which samples are moved in a frame, and counted in the one before.
     let axes_of = |frame: u32| -> Vec<Axis> {
-        let directions = directions(&set, frame, &mut Stream::new(seed, Use::Warp, frame, 0));
-        directions.into_iter().map(|direction| Axis::new(direction, &targets)).collect()
+        let Space { set, targets, .. } = space_of(frame + 1);
+        let directions = directions(set, frame, &mut Stream::new(seed, Use::Warp, frame, 0));
+        directions.into_iter().map(|direction| Axis::new(direction, targets)).collect()
     };
     let (mut before, mut now): (Vec<Axis>, _) = (Vec::new(), axes_of(0));
     for frame in 0..=frames {
@@ -105,12 +115,11 @@ pub fn warp(
             });
             let make_maps = || -> Vec<Vec<f32>> {
                 let sums = all_ranks.clone().unwrap_or_else(add_up);
+                let targets = &space_of(frame).targets;
                 let axes = before.iter().zip(sums.chunks(BINS * layers.count));
                 axes.map(|(axis, sums)| {
                     let of_layers = sums.chunks(BINS);
-                    of_layers
-                        .flat_map(|of| axis.displacements(&targets, of, options.rate))
-                        .collect()
+                    of_layers.flat_map(|of| axis.displacements(targets, of, options.rate)).collect()
                 })
                 .collect()
             };
@@ -119,6 +128,7 @@ pub fn warp(
                 counts.fill(0);
                 let part = part(job.index());
                 let mut sample = part.start / dims;
+                let mut places = Vec::new();
                 let from = &from[part];
                 let chunk = CHUNK / dims * dims;
                 for (to, from) in to.chunks_mut(chunk).zip(from.chunks(chunk)) {
@@ -129,14 +139,26 @@ pub fn warp(
                         // Made by who holds a job, so that the counts cannot change meanwhile.
                         let maps = maps.get_or_init(make_maps);
                         to.copy_from_slice(from);
-                        let place = (surface, dims);
+                        if square.is_some() && frame == turn + 1 {
+                            domain.to_places(to);
+                        }
+                        let place = (space_of(frame).surface, dims);
                         simd.run(Move { axes: &before, maps, place, layers, points: to });
                         points = to;
+                    }
+                    if square.is_some() && frame == turn {
+                        places.clear();
+                        places.extend_from_slice(points);
+                        domain.to_places(&mut places);
+                        points = &places;
                     }
                     worker.fault(faults::WARP);
                     let of_axes = counts.chunks_mut(BINS * layers.count);
                     for (axis, counts) in now.iter().zip(of_axes) {
                         simd.run(Count { axis, dims, layers, points, counts });
+                    }
+                    if square.is_some() && frame == frames {
+                        domain.to_points(to);
                     }
                 }
             });
@@ -153,6 +175,20 @@ pub fn warp(
         objectives,
         owners,
         record,
+    }
+}
+
+/// What samples are moved in.
+struct Space {
+    set: DirectionSet,
+    targets: Targets,
+    surface: Surface,
+}
+
+impl Space {
+    fn new(domain: Domain, dims: usize) -> Self {
+        let set = DirectionSet::new(domain, dims);
+        Self { targets: Targets::new(&set), set, surface: domain.surface() }
     }
 }
 
@@ -209,15 +245,7 @@ fn directions(set: &DirectionSet, frame: u32, stream: &mut Stream) -> Vec<Direct
         return vec![set.any(u, stream)];
     }
     let first = set.random_pair(u, stream);
-    let mut second = Direction { theta: [0.0; MAX_DIMS], ..first };
-    let mut pair = (0..dims).filter(|&k| first.theta[k] != 0.0);
-    let (a, b) = match (pair.next(), pair.next()) {
-        (Some(a), Some(b)) => (a, b),
-        (Some(a), None) => (a, (a + 1) % dims),
-        _ => (0, 1),
-    };
-    (second.theta[a], second.theta[b]) = (-first.theta[b], first.theta[a]);
-    vec![first, second]
+    vec![first, set.across(&first)]
 }
 
 /// A direction with the ends of its projections.
@@ -255,7 +283,7 @@ impl Axis {
                 below += count;
             }
             let place = f64::from(self.length) * edge as f64 / BINS as f64;
-            (rate * (targets.quantile(&self.direction, u) - place)) as f32
+            (rate * targets.displacement(&self.direction, u, place)) as f32
         };
         (0..=BINS).map(&mut at_edge).collect()
     }

@@ -14,6 +14,8 @@ use perceptile::solver::{Options, Start, StopReason, Summary};
 use perceptile::tile::{Tile, TileShape};
 use rayon::ThreadPoolBuilder;
 
+use crate::densities::densities;
+
 const PERCEPTION: &str = "0.9: gaussian(2.1) * fovvideovdp(60) @ 7x7x8 + 0.1: column";
 
 /// Prefixes of every pixel's samples, and frames that are seen now and then.
@@ -89,6 +91,8 @@ fn other_domains_leave_no_trace_either() {
         (Domain::Sphere, [37, 19, 8, 1], Start::Random),
         (Domain::Hemisphere, [21, 18, 8, 3], Start::Nested),
         (Domain::Cosine, [40, 17, 8, 1], Start::Stratified),
+        (densities()[0], [37, 35, 8, 1], Start::Nested),
+        (densities()[1], [21, 18, 8, 3], Start::Stratified),
     ] {
         let [width, height, frames, spp] = size;
         let size = [width, height, frames, spp, domain.dims().unwrap()];
@@ -117,6 +121,7 @@ fn bytes_stay_what_they_were() {
         Options { domain: Domain::Disk, ..options([24, 34, 9, 1, 2], PERCEPTION, 25, 5) },
         Options { domain: Domain::Sphere, ..options([24, 34, 9, 2, 3], PERCEPTION, 25, 5) },
         Options { domain: Domain::Cosine, ..options([24, 34, 9, 1, 3], PERCEPTION, 25, 5) },
+        Options { domain: densities()[0], ..options([24, 34, 9, 1, 2], PERCEPTION, 25, 5) },
     ]
     .map(|options| digest(&make(&options)));
     // Changing these lines says that tiles of this version differ from those of earlier ones.
@@ -127,6 +132,7 @@ fn bytes_stay_what_they_were() {
         "abe1841c992f2fec2ae894031f7b3364bbd7b0a366dd55c9af989c19d88ada4a",
         "e663bb003df67d54ff8c6600c29aa8f08c65cdf0d31686a861992d1b5cc4d6d3",
         "a96fd629cf198713b2dd9e6a5692aa24224a76d679f7caa51ac66e8676161b04",
+        "619d4d54dbff003f365902e244b81a096e065f9778e09cdf24d1cbf833eea139",
     ];
     assert_eq!(found, known);
 }

@@ -5,6 +5,7 @@ use perceptile::domain::Domain;
 use perceptile::metric::{Class, Coordinates, ScoreOptions, Scores};
 use perceptile::{Optimizer, Preset, Tile};
 
+use crate::densities::array;
 use crate::tool::Room;
 
 /// A small tile of a domain.
@@ -78,6 +79,92 @@ fn the_command_makes_and_scores_tiles_of_a_domain() {
     let page = String::from_utf8(room.read("page/index.html")).unwrap();
     assert!(page.contains("Samples of the cosine stand where an equal-area map"), "{page}");
     assert!(page.contains("--domain cosine --map square.npy"));
+}
+
+/// The density of `levels` in a file of the room.
+fn put(room: &Room, name: &str, size: [usize; 2], levels: &[f64]) {
+    std::fs::write(room.at(name), array(size, levels)).unwrap();
+}
+
+#[test]
+fn the_command_makes_and_scores_tiles_of_a_density() {
+    let room = Room::new();
+    // A cross whose arms are denser to the right.
+    let level = |i: usize| {
+        let (x, y) = (i % 12, i / 12);
+        if (4..8).contains(&x) || (4..8).contains(&y) { 1.0 + x as f64 } else { 0.0 }
+    };
+    let levels: Vec<f64> = (0..144).map(level).collect();
+    put(&room, "cross.npy", [12; 2], &levels);
+    let small = "--domain density(cross.npy) --tile 32x32x8 --kernel gaussian(1)@5x5x1 --steps 60 \
+                 --polish 5 --warp 200 --integrands 4";
+    room.run(&format!("optimize {small}")).succeeded();
+    let sidecar = room.sidecar();
+    assert!(sidecar.command.contains("--domain 'density(cross.npy)'"), "{}", sidecar.command);
+    let tile = Tile::load(room.at("tile.npy")).unwrap();
+    let mut counts = [0; 144];
+    for point in tile.samples().chunks(2) {
+        let [x, y] = [0, 1].map(|k| (f64::from(point[k]) * 12.0) as usize);
+        counts[y * 12 + x] += 1;
+    }
+    let sum: f64 = levels.iter().sum();
+    for (i, (count, level)) in counts.into_iter().zip(&levels).enumerate() {
+        let expected = 8192.0 * level / sum;
+        // Exactly none where it is empty; elsewhere four in five of chance's deviation at most.
+        let most = 0.8 * 3.5 * expected.sqrt();
+        assert!((f64::from(count) - expected).abs() <= most, "{i}: {count} {expected}");
+    }
+
+    // The sidecar says what was made: the file where it is named, or beside it.
+    room.run("optimize --tile 32x32x8 --steps 20 --integrands 0 --out square.npy").succeeded();
+    let evaluate = "evaluate tile.npy --map square.npy --baselines white --integrands 64 --json";
+    let json = room.run(evaluate).succeeded().out;
+    let json: serde_json::Value = serde_json::from_str(&json).unwrap();
+    assert_eq!(json["options"]["domain"]["density"]["name"], "cross.npy");
+    for class in json["tiles"][2]["scores"]["classes"].as_array().unwrap() {
+        let mean = class["perceived"]["mean"].as_f64().unwrap();
+        assert!((mean - 1.0).abs() < 0.12, "{class}");
+    }
+    assert_eq!(json["tiles"][0]["scores"]["classes"].as_array().unwrap().len(), 5);
+    room.run("report page tile.npy --integrands 4").succeeded();
+    let page = String::from_utf8(room.read("page/index.html")).unwrap();
+    assert!(page.contains("--domain 'density(cross.npy)'"), "{page}");
+
+    // Scores need the file, and are not of another one.
+    std::fs::rename(room.at("cross.npy"), room.at("moved.npy")).unwrap();
+    let missing = "the density `cross.npy`, which is not there; say where it is with --domain";
+    room.run("evaluate tile.npy").failed(2, &[missing]);
+    room.run("evaluate tile.npy --domain density(moved.npy)").succeeded();
+    put(&room, "cross.npy", [2, 1], &[1.0, 2.0]);
+    room.run("evaluate tile.npy").failed(2, &["cross.npy is another one"]);
+    room.run("evaluate tile.npy --domain density(cross.npy)").succeeded();
+    put(&room, "cross.npy", [2, 1], &[1.0, 0.0]);
+    let outside = "which is not a point of the domain `density(cross.npy)`";
+    room.run("evaluate tile.npy --domain density(cross.npy)").failed(2, &[outside]);
+}
+
+#[test]
+fn what_is_no_density_is_refused() {
+    let room = Room::new();
+    let optimize = "optimize --tile 16x16x4 --steps 2 --integrands 0 --domain";
+    for (size, levels, why) in [
+        ([2, 2], vec![0.0; 4], "holds only zeros, so no sample may be anywhere"),
+        ([2, 1], vec![1.0, -0.25], "row 0, column 1 holds -0.25"),
+        ([2, 1], vec![f64::NAN, 1.0], "row 0, column 0 holds NaN"),
+        ([1, 1], vec![1.0], "it has 1x1 pixels, but must have 2 to 1048576"),
+        ([1025, 1024], vec![1.0; 1025 * 1024], "it has 1025x1024 pixels"),
+    ] {
+        put(&room, "d.npy", size, &levels);
+        room.run(&format!("{optimize} density(d.npy)"))
+            .failed(2, &["the density `d.npy` is refused", why]);
+    }
+    room.run(&format!("{optimize} density(none.png)")).failed(2, &["`none.png` cannot be read"]);
+    put(&room, "d.npy", [2, 1], &[1.0, 3.0]);
+    let dims = "a sample of the domain `density(d.npy)` has 2 dimensions, not 3";
+    room.run(&format!("{optimize} density(d.npy) --dims 3")).failed(2, &[dims]);
+    let replaced = "the density would be replaced by d.npy, a file of the tile";
+    room.run(&format!("{optimize} density(d.npy) --out d.npy --force")).failed(2, &[replaced]);
+    assert_eq!(room.names(""), ["d.npy"]);
 }
 
 #[test]

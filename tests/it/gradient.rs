@@ -26,6 +26,8 @@ use perceptile::tile::{
 };
 use proptest::prelude::*;
 
+use crate::densities::densities;
+
 /// A tile with all that its gradient depends on.
 #[derive(Debug, Clone)]
 pub struct Case {
@@ -634,7 +636,8 @@ fn the_unit_leaves_room_for_all_gradients() {
 /// two samples by a rank's share each.
 #[test]
 fn the_fast_gradient_is_the_plain_one_in_every_domain() {
-    for domain in Domain::ALL.into_iter().filter(|domain| !domain.is_square()) {
+    let domains = Domain::ALL.into_iter().filter(|domain| !domain.is_square());
+    for domain in domains.chain(densities()) {
         for (spp, directions, seed) in [(1, 2, 1), (2, 1, 2), (3, 3, 3)] {
             let dims = domain.dims().unwrap();
             let shape = TileShape::new(17, 11, 8, spp, dims).unwrap();
@@ -669,7 +672,7 @@ fn the_fast_gradient_is_the_plain_one_in_every_domain() {
 
 #[test]
 fn the_plain_gradient_of_a_domain_equals_finite_differences() {
-    for domain in [Domain::Disk, Domain::Sphere, Domain::Cosine] {
+    for domain in [Domain::Disk, Domain::Sphere, Domain::Cosine, densities()[0]] {
         let dims = domain.dims().unwrap();
         let shape = TileShape::new(5, 5, 4, 1, dims).unwrap();
         let mut case = Case::of(shape, "gaussian(1) * ema(0.5) @ 3x3x4", SHARES, 5);

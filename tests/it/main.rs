@@ -3,6 +3,7 @@
 mod child;
 #[cfg(target_os = "linux")]
 mod command;
+mod densities;
 mod determinism;
 #[cfg(target_os = "linux")]
 mod docs;

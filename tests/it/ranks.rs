@@ -9,6 +9,7 @@ use perceptile::solver::{HaloTraffic, Options, Parallelism, Preset};
 use perceptile::tile::TileShape;
 use rustix::process::Signal;
 
+use crate::densities::ring_in_a_file;
 use crate::tool::{Ended, LEASH, PROGRAM, Room, Run, send};
 
 /// What the tiles of tests have in common.
@@ -66,6 +67,8 @@ fn ranks_leave_no_trace() {
     ] {
         ranks_make_one_tile(&format!("{case} --steps 40 --draws 300 --warp 10 --directions 2"));
     }
+    let ring = "--kernel gaussian(1)@5x5x1 --polish 2 --steps 40 --draws 300 --warp 10";
+    ranks_make_one_tile(&format!("--tile 64x50x4 --domain {} {ring}", ring_in_a_file()));
 }
 
 #[test]

@@ -9,6 +9,7 @@ use std::process::Command;
 use rustix::process::{Signal, geteuid};
 
 use crate::child::output;
+use crate::densities::ring_file;
 use crate::tool::{LEASH, Random, Room, has_ended, until};
 
 /// A run with time to be killed in its descent and in its polish; of little work, so that what is
@@ -29,10 +30,15 @@ fn expected(room: &Room) -> Vec<u8> {
 
 /// Leaves a run behind that was killed after so many steps.
 fn killed(room: &Room, after: u32) {
+    killed_with(room, "", after);
+}
+
+/// The same with more flags.
+fn killed_with(room: &Room, flags: &str, after: u32) {
     // On a busy machine a run may be over before it is killed. What is left of it takes longer than
     // that most times, so not once in so many attempts is less likely than 2^-40.
     for _ in 0..40 {
-        let mut run = room.start(&format!("{RUN} --threads 1 --checkpoint 2steps --force"));
+        let mut run = room.start(&format!("{RUN} {flags} --threads 1 --checkpoint 2steps --force"));
         run.until_or_end("a checkpoint", |_| room.has_checkpoint("tile.run", after));
         run.send(Signal::KILL);
         let ended = run.end();
@@ -46,6 +52,18 @@ fn killed(room: &Room, after: u32) {
         }
     }
     panic!("no run is killed before it is over");
+}
+
+#[test]
+fn a_run_goes_on_without_the_file_of_its_density() {
+    let room = Room::new();
+    fs::copy(ring_file(), room.at("ring.npy")).unwrap();
+    let flags = "--domain density(ring.npy)";
+    room.run(&format!("{RUN} {flags} --out whole.npy")).succeeded();
+    killed_with(&room, flags, 20);
+    fs::remove_file(room.at("ring.npy")).unwrap();
+    room.run("resume tile.run").succeeded();
+    assert!(room.read("tile.npy") == room.read("whole.npy"));
 }
 
 #[test]

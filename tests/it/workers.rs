@@ -11,6 +11,7 @@ use perceptile::solver::faults;
 use rustix::process::{Pid, Signal};
 
 use crate::child::LONG;
+use crate::densities::ring_in_a_file;
 use crate::tool::{LEASH, PROGRAM, Random, Room, Run, has_ended, send, until};
 
 /// What the tiles of tests have in common: nobody scores them, and rooms are used many times.
@@ -100,6 +101,8 @@ fn workers_and_threads_leave_no_trace() {
         crews_make_one_tile(&format!("{case} {steps} {warp} --draws 500 --directions 2"));
         assert!(tile.starts_with("--tile"));
     }
+    let ring = "--kernel gaussian(1)@5x5x1 --steps 8 --polish 2 --warp 9 --draws 500";
+    crews_make_one_tile(&format!("--tile 33x36x4 --domain {} {ring}", ring_in_a_file()));
 }
 
 #[test]
