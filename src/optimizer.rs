@@ -147,6 +147,22 @@ impl<'a> Optimizer<'a> {
     /// assert!((length - 1.0).abs() < 1e-6);
     /// # Ok::<(), Box<dyn std::error::Error>>(())
     /// ```
+    ///
+    /// A density on the square comes from a picture, by `"density(star.png)".parse::<Domain>()`, or from
+    /// levels:
+    ///
+    /// ```
+    /// use perceptile::domain::{Density, Domain};
+    /// use perceptile::{Optimizer, Preset};
+    ///
+    /// // Three quarters of all samples to the right, and none at the bottom.
+    /// let levels = [1.0, 3.0, 0.0, 0.0];
+    /// let density = Density::new("corner", [2, 2], &levels)?;
+    /// let optimizer = Optimizer::new(Preset::Quick).domain(Domain::Density(density));
+    /// let run = optimizer.size(8, 8, 8).steps(20).run()?;
+    /// assert!(run.tile().samples().chunks(2).all(|point| point[1] < 0.5));
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
     pub fn domain(mut self, domain: Domain) -> Self {
         self.options.domain = domain;
         Self { dims: domain.dims().unwrap_or(self.dims), ..self }

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use perceptile::domain::{Domain, DomainSpec};
 use perceptile::format::sidecar::Sidecar;
+use perceptile::run::output::OutputFiles;
 
 use super::candidates::{self, Candidate};
 use super::exit::{Failure, Misuse};
@@ -96,17 +97,30 @@ fn of_sidecar(tile: &Path, candidates: &[Candidate]) -> Result<Domain, Failure> 
 fn density(sidecar: &Path, name: &str, sha256: &str) -> Result<Domain, Failure> {
     let beside = Path::new(name).file_name().map(|file| sidecar.with_file_name(file));
     let paths = [Some(PathBuf::from(name)), beside];
-    let there = paths.into_iter().flatten().find(|path| path.is_file());
+    let there: Vec<PathBuf> = paths.into_iter().flatten().filter(|path| path.is_file()).collect();
+    let read = |path: &PathBuf| DomainSpec::File(path.display().to_string()).resolve();
+    let is_it =
+        |domain: &Domain| matches!(domain, Domain::Density(density) if density.sha256() == sha256);
+    if let Some(domain) = there.iter().filter_map(|path| read(path).ok()).find(is_it) {
+        return Ok(domain);
+    }
     let what = format!("{} says that samples have the density `{name}`", sidecar.display());
-    let hint = "say where it is with --domain density(FILE)";
-    let Some(path) = there else {
-        return Err(Misuse(format!("{what}, which is not there; {hint}")).into());
+    let why = match there.first() {
+        None => "which is not there".to_owned(),
+        Some(path) => format!("but {} is another one", path.display()),
     };
-    let domain = DomainSpec::File(path.display().to_string()).resolve()?;
-    match domain {
-        Domain::Density(density) if density.sha256() != sha256 => {
-            Err(Misuse(format!("{what}, but {} is another one; {hint}", path.display())).into())
-        }
-        domain => Ok(domain),
+    let hint = "say where it is with --domain density(FILE)";
+    Err(Misuse(format!("{what}, {why}; {hint}")).into())
+}
+
+/// Checks that no file of a tile is the density that it is made for.
+pub fn check_density(outputs: &OutputFiles, domain: Domain) -> Result<(), Misuse> {
+    let Domain::Density(density) = domain else { return Ok(()) };
+    match outputs.find(Path::new(density.name())) {
+        Some(file) => Err(Misuse(format!(
+            "the density would be replaced by {}, a file of the tile: give another --out",
+            file.display()
+        ))),
+        None => Ok(()),
     }
 }

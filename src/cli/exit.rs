@@ -135,7 +135,7 @@ macro_rules! exits {
 
 exits! {
     Misuse { _ => Exit::Misuse }
-    DomainError { _ => Exit::Misuse }
+    DomainError { Self::File { .. } => Exit::Failed, _ => Exit::Misuse }
     OptionsError { Self::Kernel(error) => error.exit(), _ => Exit::Misuse }
     KernelError {
         Self { problem: ResolveProblem::Table(_), .. } => Exit::Failed,

@@ -5,7 +5,6 @@ use std::process::ExitCode;
 use std::sync::Arc;
 
 use clap::Args;
-use perceptile::domain::DomainSpec;
 use perceptile::format::source::TileSource;
 use perceptile::format::write::Existing;
 use perceptile::metric::ScoreOptions;
@@ -20,6 +19,7 @@ use perceptile::solver::HaloTraffic;
 use perceptile::tile::Region;
 use perceptile_cluster::communicator::Communicator;
 
+use super::domain::check_density;
 use super::exit::{Failure, Misuse};
 use super::prepared::{self, Files, Invocation, PreparedRun};
 use super::run::{RunArgs, check_folder};
@@ -114,7 +114,7 @@ fn prepare(args: &OptimizeArgs, ranks: usize) -> Result<Option<PreparedRun>, Fai
     let folder = args.run_dir.clone().unwrap_or_else(|| args.out.with_extension("run"));
     check_name(&args.out)?;
     let outputs = OutputFiles::of(&args.out);
-    check_density(&outputs, &settings)?;
+    check_density(&outputs, options.domain)?;
     check_folder(&outputs, &folder)?;
     if args.dry_run {
         let foresee = || Forecast::of(&plan, args.run.execution.simd());
@@ -149,18 +149,6 @@ fn check_name(out: &Path) -> Result<(), Misuse> {
             out.with_extension("npy").display()
         ))),
         _ => Ok(()),
-    }
-}
-
-/// Checks that no file of the tile is the density that it is made for.
-fn check_density(outputs: &OutputFiles, settings: &Settings) -> Result<(), Misuse> {
-    let Some(DomainSpec::File(density)) = &settings.domain else { return Ok(()) };
-    match outputs.find(Path::new(density)) {
-        Some(file) => Err(Misuse(format!(
-            "the density would be replaced by {}, a file of the tile: give another --out",
-            file.display()
-        ))),
-        None => Ok(()),
     }
 }
 

@@ -12,6 +12,7 @@ use perceptile::run::output::OutputFiles;
 use perceptile::run::plan::Plan;
 use perceptile_cluster::communicator::Communicator;
 
+use super::domain::check_density;
 use super::exit::{Failure, Misuse};
 use super::prepared::{self, Files, Invocation, PreparedRun};
 use super::run::{RunArgs, check_folder};
@@ -69,6 +70,7 @@ fn prepare(args: &ResumeArgs, ranks: usize) -> Result<Option<PreparedRun>, Failu
     let existing = Existing::from_force(args.force || is_so_far(&invocation.out, &plan));
     let outputs = OutputFiles::of(&invocation.out);
     check_folder(&outputs, &args.folder)?;
+    check_density(&outputs, plan.options.domain)?;
     let claims = outputs.claim(existing)?;
     let files = Files { invocation, outputs, existing, checkpointer, claims };
     Ok(Some(PreparedRun { plan, start, files: Some(files) }))

@@ -89,7 +89,12 @@ impl Density {
         if most == 0.0 {
             return Err(DensityError::Empty);
         }
-        let levels = levels.iter().map(|level| (level / most) as f32).collect();
+        // What is not empty stays so, and −0 is 0.
+        let level = |&level: &f64| {
+            let share = (level / most) as f32;
+            if level > 0.0 { share.max(f32::MIN_POSITIVE) } else { 0.0 }
+        };
+        let levels = levels.iter().map(level).collect();
         Ok(Self::kept(name, [width, height], levels))
     }
 
@@ -177,9 +182,6 @@ impl Serialize for Density {
 
 impl<'de> Deserialize<'de> for Density {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        if deserializer.is_human_readable() {
-            return Err(de::Error::custom("a density is read from its picture"));
-        }
         let Whole { name, size, levels } = Whole::deserialize(deserializer)?;
         let levels: Vec<f64> = levels.into_iter().map(f64::from).collect();
         Self::new(&name, size.map(|n| n as usize), &levels).map_err(de::Error::custom)

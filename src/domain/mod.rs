@@ -254,12 +254,16 @@ impl Domain {
         if self.is_square() {
             return Ok(tile.clone());
         }
+        let slack = match self.surface() {
+            Surface::Mask(mask) => mask.slack(),
+            _ => 0.0,
+        };
         let mut samples = tile.samples().to_vec();
         self.surface().bring_all_back(&mut samples, dims);
         let pairs = samples.chunks_exact_mut(dims).zip(tile.samples().chunks_exact(dims));
         for (index, (back, point)) in pairs.enumerate() {
             let square: f32 = back.iter().zip(point).map(|(a, b)| (a - b) * (a - b)).sum();
-            if square > ROUNDING * ROUNDING {
+            if square.sqrt() > ROUNDING + slack {
                 return Err(DomainError::Outside { domain: self, index, point: point.to_vec() });
             }
             if square < EXACT * EXACT {
@@ -289,6 +293,14 @@ impl Domain {
         self.shape().is_some_and(Shape::is_warped_by_places)
     }
 
+    /// Bytes that each process has of it, beside what all domains take.
+    pub fn bytes(self) -> usize {
+        match self {
+            Self::Density(density) => density.picture().bytes(),
+            _ => 0,
+        }
+    }
+
     /// How wide it is, relative to a square or disk that fills the unit square.
     pub fn spread(self) -> f64 {
         self.shape().map_or(1.0, Shape::spread)
@@ -297,6 +309,15 @@ impl Domain {
     /// How moved samples come back.
     pub fn surface(self) -> Surface {
         self.shape().map_or(Surface::Cube, Shape::surface)
+    }
+
+    /// How samples come back while they are optimized. Those of a density may be where it is empty, on
+    /// their way from one part of it to another; [`Mask::enter`] ends that.
+    pub fn surface_on_the_way(self) -> Surface {
+        match self.surface() {
+            Surface::Mask(_) => Surface::Cube,
+            surface => surface,
+        }
     }
 
     /// Numbers that place a point of `dims` dimensions: two on a surface or in a plane, one on a line,
@@ -506,6 +527,14 @@ enum Whole {
     Density(Density),
 }
 
+/// What people may say.
+#[derive(Deserialize)]
+#[serde(untagged)]
+enum Said {
+    Text(String),
+    Other(serde::de::IgnoredAny),
+}
+
 /// For people its name.
 impl Serialize for Domain {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
@@ -521,7 +550,11 @@ impl Serialize for Domain {
 impl<'de> Deserialize<'de> for Domain {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         if deserializer.is_human_readable() {
-            return String::deserialize(deserializer)?.parse().map_err(serde::de::Error::custom);
+            let rule = "a domain is read from its name, and a density from its picture";
+            return match Said::deserialize(deserializer)? {
+                Said::Text(text) => text.parse().map_err(serde::de::Error::custom),
+                Said::Other(_) => Err(serde::de::Error::custom(rule)),
+            };
         }
         match Whole::deserialize(deserializer)? {
             Whole::Density(density) => Ok(Self::Density(density)),

@@ -103,6 +103,14 @@ impl Picture {
         [self.width, self.height]
     }
 
+    /// Bytes that it takes.
+    pub fn bytes(&self) -> usize {
+        let shares = [&self.left, &self.above, &self.columns].map(Vec::len);
+        let shares = size_of::<f64>() * shares.iter().sum::<usize>();
+        let mask = self.mask.as_ref().map_or(0, Mask::bytes);
+        size_of_val(&self.levels[..]) + size_of_val(&self.corners[..]) + shares + mask
+    }
+
     /// Row by row; the largest is 1.
     pub fn levels(&self) -> &[f32] {
         &self.levels
@@ -350,6 +358,18 @@ impl Shape for Picture {
         const LEAST: f64 = 1e-3;
         let length = a.abs() + b.abs();
         let low = -0.5 * length;
+        if a == 0.0 || b == 0.0 {
+            let shares = if b == 0.0 { &self.columns } else { &self.above };
+            let below = |x: f64| {
+                let at = (x * (shares.len() - 1) as f64).clamp(0.0, (shares.len() - 1) as f64);
+                let node = (at as usize).min(shares.len() - 2);
+                shares[node] + (shares[node + 1] - shares[node]) * (at - node as f64)
+            };
+            return Cdf::new(low, length, |t| {
+                let x = t / length + 0.5;
+                if a + b > 0.0 { below(x) } else { 1.0 - below(1.0 - x) }
+            });
+        }
         if a.abs().min(b.abs()) < LEAST * length {
             return Cdf::new(low, length, |t| self.half_plane(a, b, t + 0.5 * (a + b)));
         }

@@ -169,9 +169,10 @@ impl Plane for Uneven {
 /// The node of a marginal that is before a coordinate, and how far past it that is.
 #[inline(always)]
 fn node(shares: &[f32], x: f32) -> (usize, f32) {
-    let place = x.clamp(0.0, 1.0) * (shares.len() - 1) as f32;
+    // Exact, so that the last coordinate of a pixel is not taken for one of the next.
+    let place = f64::from(x.clamp(0.0, 1.0)) * (shares.len() - 1) as f64;
     let node = (place as usize).min(shares.len() - 2);
-    (node, place - node as f32)
+    (node, (place - node as f64) as f32)
 }
 
 /// Of a grid over the square, in its cells' units.

@@ -4,12 +4,12 @@
 use super::mask::Mask;
 use crate::tile::clamp_coordinate;
 
-/// How samples come back, in a cube of side 1; round ones have a radius of ½ around its middle.
+/// How samples that were moved come back, in a cube of side 1; round ones have a radius of ½ around its middle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Surface {
     /// Each coordinate by itself, into [0, 1).
     Cube,
-    /// The same, then out of the empty pixels of a picture.
+    /// The same, then along the empty pixels of a picture.
     Mask(&'static Mask),
     /// From outside of a disk or ball straight to its border.
     Ball,
@@ -73,6 +73,18 @@ impl Surface {
             for (x, y) in xs.iter_mut().zip(ys) {
                 [*x, *y] = mask.bring_back([*x, *y]);
             }
+        }
+    }
+
+    /// Brings one point back that was moved from where it was before, of `dims` coordinates.
+    #[inline(always)]
+    pub fn settle(self, before: &[f32], point: &mut [f32], dims: usize) {
+        match (self, before, &mut *point) {
+            (Self::Mask(mask), &[from_x, from_y], [x, y]) => {
+                let to = [clamp_coordinate(*x), clamp_coordinate(*y)];
+                [*x, *y] = mask.settle([from_x, from_y], to);
+            }
+            _ => self.bring_all_back(point, dims),
         }
     }
 

@@ -316,24 +316,119 @@ fn no_point_of_a_density_is_where_it_is_empty() {
     }
 }
 
-/// The nearest pixel is that of all pixels whose middle is nearest.
+/// From an empty pixel beside a full one to the nearest point, from others to the nearest pixel.
 #[test]
-fn samples_come_back_to_the_nearest_pixel() {
-    let Domain::Density(density) = densities()[0] else { panic!() };
-    let (picture, [width, height]) = (density.picture(), density.size());
-    let middle = |i: usize| [(i % width) as f64 + 0.5, (i / width) as f64 + 0.5];
-    let away = |a: [f64; 2], b: [f64; 2]| {
-        ((a[0] - b[0]) / width as f64).hypot((a[1] - b[1]) / height as f64)
+fn samples_come_back_to_what_is_nearest() {
+    for domain in densities() {
+        let Domain::Density(density) = domain else { panic!() };
+        let (picture, [width, height]) = (density.picture(), density.size());
+        let is_full = |x: usize, y: usize| picture.levels()[y * width + x] > 0.0;
+        // How far a point is from a pixel, or from its middle.
+        let away = |[x, y]: [f64; 2], [i, j]: [usize; 2], to_middle: bool| {
+            let along = |x: f64, i: usize, n: usize| {
+                let (low, high) = (i as f64 / n as f64, (i + 1) as f64 / n as f64);
+                x - if to_middle { 0.5 * (low + high) } else { x.clamp(low, high) }
+            };
+            along(x, i, width).hypot(along(y, j, height))
+        };
+        let full = || {
+            let all = (0..width * height).map(|i| [i % width, i / width]);
+            all.filter(|&[i, j]| is_full(i, j))
+        };
+        for place in 0..71 * 67 {
+            let point = [(place % 71) as f64 / 70.5, (place / 71) as f64 / 66.5];
+            let mut back = point.map(|x| x as f32);
+            domain.surface().bring_all_back(&mut back, 2);
+            let found = (f64::from(back[0]) - point[0]).hypot(f64::from(back[1]) - point[1]);
+            let here = [(point[0] * width as f64) as usize, (point[1] * height as f64) as usize];
+            let beside = full().filter(|[i, j]| i.abs_diff(here[0]) < 2 && j.abs_diff(here[1]) < 2);
+            let least = beside.map(|pixel| away(point, pixel, false)).fold(f64::MAX, f64::min);
+            if least < f64::MAX {
+                assert!((found - least).abs() < 1e-6, "{domain} {point:?}: {back:?}");
+                continue;
+            }
+            let middle = [0, 1].map(|k| (here[k] as f64 + 0.5) / [width, height][k] as f64);
+            let least = full().map(|pixel| away(middle, pixel, true)).fold(f64::MAX, f64::min);
+            let index = |x: f32, n: usize| (f64::from(x) * n as f64) as usize;
+            let pixel = [index(back[0], width), index(back[1], height)];
+            assert!((away(middle, pixel, true) - least).abs() < 1e-9, "{domain} {point:?}");
+        }
+    }
+}
+
+/// Samples that enter a density stay apart; those that move slide along what is empty, or stay.
+#[test]
+fn samples_neither_gather_on_borders_nor_leave() {
+    for domain in densities() {
+        let Surface::Mask(mask) = domain.surface() else { continue };
+        assert_eq!(domain.surface_on_the_way(), Surface::Cube);
+        // Along a line that leads from an empty part into a full one.
+        for row in [0.05_f32, 0.4, 0.7, 0.95] {
+            let mut before = None;
+            for i in 0..2000 {
+                let point = [(i as f32 + 0.5) / 2000.0, row];
+                let entered = mask.enter(point);
+                assert!(mask.contains(entered), "{domain} {point:?}: {entered:?}");
+                assert!(Some(entered) != before, "{domain} {point:?}: {entered:?} twice");
+                if mask.contains(point) {
+                    assert_eq!(entered, point);
+                }
+                before = Some(entered);
+                for to in [[0.3, 0.6], [point[0], 0.1], [0.99, 0.99]] {
+                    let settled = mask.settle(entered, to);
+                    assert!(mask.contains(settled), "{domain} {entered:?} {to:?}: {settled:?}");
+                    assert!(settled == to || !mask.contains(to));
+                    assert!((0..2).all(|k| settled[k] == to[k] || settled[k] == entered[k]));
+                }
+            }
+        }
+    }
+}
+
+/// What rounding to 8 and 16 bits does to any point is taken back.
+#[test]
+fn rounded_points_of_a_density_are_adopted() {
+    let make =
+        |name, size, levels: &[f64]| Domain::Density(Density::new(name, size, levels).unwrap());
+    let disk = |n: usize| -> Vec<f64> {
+        let at = |i: usize| (i as f64 + 0.5) / n as f64 - 0.5;
+        (0..n * n).map(|i| f64::from(u8::from(at(i % n).hypot(at(i / n)) < 0.45))).collect()
     };
-    let at = |[x, y]: [f64; 2]| [(x / width as f64) as f32, (y / height as f64) as f32];
-    let full = || (0..width * height).filter(|&i| picture.levels()[i] > 0.0);
-    for pixel in 0..width * height {
-        let mut back = at(middle(pixel));
-        densities()[0].surface().bring_all_back(&mut back, 2);
-        let index = |x: f32, n: usize| (f64::from(x) * n as f64) as usize;
-        let found = index(back[1], height) * width + index(back[0], width);
-        let least = full().map(|i| away(middle(i), middle(pixel))).fold(f64::MAX, f64::min);
-        assert!((away(middle(found), middle(pixel)) - least).abs() < 1e-12, "{pixel}: {found}");
+    for domain in densities().into_iter().chain([
+        make("gap", [3, 1], &[1.0, 0.0, 1.0]),
+        make("disk", [100, 100], &disk(100)),
+        make("fine", [700, 700], &disk(700)),
+    ]) {
+        let mut samples = Vec::new();
+        for i in 0..300 * 300 {
+            let mut point = [0.0; 2];
+            let place = [f64::from(i % 300) / 299.0, f64::from(i / 300) / 299.0];
+            domain.point(&place, &mut point);
+            for levels in [256.0, 65536.0] {
+                samples.extend(point.map(|x| ((x * levels).floor() + 0.5) / levels));
+            }
+        }
+        let shape = TileShape::new(600, 300, 1, 1, 2).unwrap();
+        let adopted = domain.adopt(&Tile::new(shape, samples).unwrap());
+        assert!(adopted.is_ok(), "{domain}: {:?}", adopted.err());
+    }
+}
+
+/// Pictures whose sides differ as much as may be are no more work than others.
+#[test]
+fn long_pictures_are_densities_as_well() {
+    let mut levels = vec![0.0; MAX_PIXELS];
+    levels[MAX_PIXELS - 1] = 1.0;
+    for (size, axis) in [([MAX_PIXELS, 1], 0), ([1, MAX_PIXELS], 1)] {
+        let domain = Domain::Density(Density::new("long", size, &levels).unwrap());
+        let mut point = [0.25; 2];
+        domain.surface().bring_all_back(&mut point, 2);
+        assert!(point[axis] >= 1.0 - 1.0 / MAX_PIXELS as f32 && point[1 - axis] == 0.25);
+        let mut theta = [0.0; 2];
+        theta[axis] = 1.0;
+        assert_eq!(domain.cdf(&theta).at(0.0), 0.0);
+        theta[axis] = -1.0;
+        assert!((domain.cdf(&theta).at(-0.25) - 1.0).abs() < 1e-12);
     }
 }
 

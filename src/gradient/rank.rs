@@ -4,7 +4,7 @@
 //! the direction in the high bits, its position in the subset in the low ones, so that all keys
 //! differ and equal places are in order of position. The steps are so fine (2⁻²³ of the
 //! direction's length up to 512 samples, a sixteenth of the mean distance of two samples at the
-//! most) that what falls into one of them is as good as equal.
+//! most, where they are even) that what falls into one of them is as good as equal.
 
 use super::simd::{Isa, SORT_BLOCK};
 

@@ -49,7 +49,7 @@ pub fn foreseen(plan: &Plan) -> u64 {
     shared
         .saturating_add(copies * tile)
         .saturating_add(draws as u64)
-        .saturating_add(FIXED * (1 + workers))
+        .saturating_add((FIXED + options.domain.bytes() as u64) * (1 + workers))
 }
 
 /// Whether a run fits into the memory that is free.

@@ -199,9 +199,9 @@ const LANES: usize = 32;
 pub type Place = (Surface, usize);
 
 /// A run of samples that is to be moved.
-trait Row<'a>: Sized {
-    /// Moves all of them, each coordinate by itself; returns where they are now.
-    fn coordinates(self) -> &'a mut [f32];
+trait Row: Sized {
+    /// Moves all of them, each coordinate by itself.
+    fn coordinates(self);
     /// Moves `L` points of `N` coordinates, the first of them number `i`.
     fn points<const N: usize, const L: usize>(&mut self, surface: Surface, i: usize);
 
@@ -210,10 +210,7 @@ trait Row<'a>: Sized {
     fn step(self, place: Place, words: usize) {
         // A surface that is known when this is compiled leaves no branch in a loop.
         match place {
-            (Surface::Cube, _) => {
-                self.coordinates();
-            }
-            (Surface::Mask(_), dims) => place.0.bring_all_back(self.coordinates(), dims),
+            (Surface::Cube | Surface::Mask(_), _) => self.coordinates(),
             (Surface::Ball, 2) => self.all_points::<2>(Surface::Ball, words),
             (Surface::Ball, _) => self.all_points::<3>(Surface::Ball, words),
             (Surface::Sphere, 2) => self.all_points::<2>(Surface::Sphere, words),
@@ -260,15 +257,14 @@ impl<P: Component> Vectorized for Update<'_, P> {
     }
 }
 
-impl<'a, P: Component> Row<'a> for Update<'a, P> {
+impl<P: Component> Row for Update<'_, P> {
     #[inline(always)]
-    fn coordinates(self) -> &'a mut [f32] {
+    fn coordinates(self) {
         let n = self.gradients.len();
         let (x, m, v) = (&mut self.samples[..n], &mut self.first[..n], &mut self.second[..n]);
         for i in 0..n {
             [x[i], m[i], v[i]] = self.factors.step(self.gradients[i], x[i], m[i], v[i]);
         }
-        x
     }
 
     #[inline(always)]
@@ -305,9 +301,9 @@ impl<P: Component> Vectorized for UpdateTo<'_, P> {
     }
 }
 
-impl<'a, P: Component> Row<'a> for UpdateTo<'a, P> {
+impl<P: Component> Row for UpdateTo<'_, P> {
     #[inline(always)]
-    fn coordinates(self) -> &'a mut [f32] {
+    fn coordinates(self) {
         let Self { factors, gradients, from, to, .. } = self;
         let n = gradients.len();
         let [x, m, v] = from.map(|slice| &slice[..n]);
@@ -315,7 +311,6 @@ impl<'a, P: Component> Row<'a> for UpdateTo<'a, P> {
         for i in 0..n {
             [to_x[i], to_m[i], to_v[i]] = factors.step(gradients[i], x[i], m[i], v[i]);
         }
-        to_x
     }
 
     #[inline(always)]
@@ -441,28 +436,6 @@ mod tests {
                 }
             }
         }
-    }
-
-    /// Coordinates by themselves, then out of where the density is empty.
-    #[test]
-    fn samples_of_a_density_move_as_those_of_the_square() {
-        let [domain, ..] = crate::domain::tests::densities();
-        let shape = TileShape::new(37, 1, 1, 1, 2).unwrap();
-        let start = Baseline::White.tile_of(domain, shape, 3);
-        let gradients = Baseline::White.tile(shape, 4);
-        let moved = |surface: Surface| {
-            let (mut x, mut m, mut v) = (start.samples().to_vec(), vec![0.0; 74], vec![0.0; 74]);
-            let (samples, first, second) = (&mut x[..], &mut m[..], &mut v[..]);
-            let factors = AdamOptions { rate: 0.3, ..OPTIONS }.factors(0, 4, 1.0);
-            let (place, gradients) = ((surface, 2), gradients.samples());
-            Update { factors, place, gradients, samples, first, second }.run(Plain);
-            (x, m, v)
-        };
-        let (mut free, m, v) = moved(Surface::Cube);
-        let (x, first, second) = moved(domain.surface());
-        assert!((&m, &v) == (&first, &second) && x != free);
-        domain.surface().bring_all_back(&mut free, 2);
-        assert_eq!(x, free);
     }
 
     #[test]

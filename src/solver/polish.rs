@@ -12,7 +12,8 @@
 //!
 //! In other domains than the square |xᵢ − xⱼ| is the chord between two points in all their
 //! dimensions: on a sphere it adds up the errors of all caps (Stolarsky 1973). There is no term of
-//! single coordinates, as their axes are directions like others.
+//! single coordinates where the axes are directions like others; in a density it counts the share
+//! between two coordinates instead of their distance.
 //!
 //! Every sample's gradient is summed by one thread in the order of the offsets, so no order of
 //! execution can change it.
@@ -236,7 +237,7 @@ impl Polish {
             sight,
             totals,
             pull: domain.pull(),
-            surface: domain.surface(),
+            surface: domain.surface_on_the_way(),
             gradients: work.parts(bands.iter().map(|band| part(band).collect()).collect()),
             bands,
             inside,

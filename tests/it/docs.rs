@@ -229,7 +229,8 @@ fn refusal(arguments: &[String]) -> Option<String> {
     let has = |flag: &str| arguments.iter().any(|word| word == flag);
     let mut command = Command::new(PROGRAM);
     command.args(arguments).stdin(Stdio::null());
-    let mut reads_files = has("--config") || has("--start");
+    let has_density = arguments.iter().any(|word| word.starts_with("density("));
+    let mut reads_files = has("--config") || has("--start") || has_density;
     match arguments[0].as_str() {
         "optimize" if !has("--dry-run") => {
             command.arg("--dry-run");

@@ -5,7 +5,7 @@ use perceptile::domain::Domain;
 use perceptile::metric::{Class, Coordinates, ScoreOptions, Scores};
 use perceptile::{Optimizer, Preset, Tile};
 
-use crate::densities::array;
+use crate::densities::{array, densities};
 use crate::tool::Room;
 
 /// A small tile of a domain.
@@ -27,11 +27,13 @@ fn scores(domain: Domain, tile: &Tile) -> Scores {
 #[test]
 fn native_tiles_are_better_than_mapped_ones() {
     let square = [1, 2].map(|dims| tile(Domain::Square, dims));
-    for domain in Domain::ALL.into_iter().filter(|domain| !domain.is_square()) {
+    let domains = Domain::ALL.into_iter().filter(|domain| !domain.is_square());
+    for domain in domains.chain([densities()[0]]) {
         let dims = domain.dims().unwrap();
         let mapped = domain.map(&square[domain.parameters(dims) - 1]).unwrap();
         let [native, mapped] = [tile(domain, dims), mapped].map(|tile| scores(domain, &tile));
-        assert!(native.class(Class::AxisEdge, Coordinates::All).is_none());
+        let axis_edges = native.class(Class::AxisEdge, Coordinates::All);
+        assert_eq!(axis_edges.is_some(), domain.has_axes());
         let of =
             |scores: &Scores, class| scores.class(class, Coordinates::All).unwrap().perceived.mean;
         let quotient = |class| of(&native, class) / of(&mapped, class);
@@ -89,38 +91,45 @@ fn put(room: &Room, name: &str, size: [usize; 2], levels: &[f64]) {
 #[test]
 fn the_command_makes_and_scores_tiles_of_a_density() {
     let room = Room::new();
-    // A cross whose arms are denser to the right.
+    // A disk that is denser to the right. Its border is not where bytes change.
+    let size = [30, 23];
     let level = |i: usize| {
-        let (x, y) = (i % 12, i / 12);
-        if (4..8).contains(&x) || (4..8).contains(&y) { 1.0 + x as f64 } else { 0.0 }
+        let [x, y] = [i % 30, i / 30].map(|i| i as f64 + 0.5);
+        if (x / 30.0 - 0.5).hypot(y / 23.0 - 0.5) < 0.47 { 1.0 + x } else { 0.0 }
     };
-    let levels: Vec<f64> = (0..144).map(level).collect();
-    put(&room, "cross.npy", [12; 2], &levels);
-    let small = "--domain density(cross.npy) --tile 32x32x8 --kernel gaussian(1)@5x5x1 --steps 60 \
+    let levels: Vec<f64> = (0..30 * 23).map(level).collect();
+    put(&room, "disk.npy", size, &levels);
+    let small = "--domain density(disk.npy) --tile 32x32x8 --kernel gaussian(1)@5x5x1 --steps 60 \
                  --polish 5 --warp 200 --integrands 4";
     room.run(&format!("optimize {small}")).succeeded();
     let sidecar = room.sidecar();
-    assert!(sidecar.command.contains("--domain 'density(cross.npy)'"), "{}", sidecar.command);
+    assert!(sidecar.command.contains("--domain 'density(disk.npy)'"), "{}", sidecar.command);
     let tile = Tile::load(room.at("tile.npy")).unwrap();
-    let mut counts = [0; 144];
+    // None where it is empty, and blocks of pixels in proportion, four times closer than by chance.
+    let mut counts = vec![0.0; 30 * 23];
     for point in tile.samples().chunks(2) {
-        let [x, y] = [0, 1].map(|k| (f64::from(point[k]) * 12.0) as usize);
-        counts[y * 12 + x] += 1;
+        let [x, y] = [0, 1].map(|k| (f64::from(point[k]) * size[k] as f64) as usize);
+        counts[y * 30 + x] += 1.0;
     }
     let sum: f64 = levels.iter().sum();
-    for (i, (count, level)) in counts.into_iter().zip(&levels).enumerate() {
-        let expected = 8192.0 * level / sum;
-        // Exactly none where it is empty; elsewhere four in five of chance's deviation at most.
-        let most = 0.8 * 3.5 * expected.sqrt();
-        assert!((f64::from(count) - expected).abs() <= most, "{i}: {count} {expected}");
+    let (mut square, mut chance) = (0.0, 0.0);
+    for block in 0..36 {
+        let inside = |i: &usize| i % 30 / 5 + i / 30 / 4 * 6 == block;
+        let of = |values: &[f64]| (0..690).filter(inside).map(|i| values[i]).sum::<f64>();
+        let expected = 8192.0 * of(&levels) / sum;
+        square += (of(&counts) - expected) * (of(&counts) - expected);
+        chance += expected;
     }
+    let is_empty = |(count, level): (&f64, &f64)| *level > 0.0 || *count == 0.0;
+    assert!(counts.iter().zip(&levels).all(is_empty));
+    assert!(square < chance / 16.0, "{square} {chance}");
 
     // The sidecar says what was made: the file where it is named, or beside it.
     room.run("optimize --tile 32x32x8 --steps 20 --integrands 0 --out square.npy").succeeded();
     let evaluate = "evaluate tile.npy --map square.npy --baselines white --integrands 64 --json";
     let json = room.run(evaluate).succeeded().out;
     let json: serde_json::Value = serde_json::from_str(&json).unwrap();
-    assert_eq!(json["options"]["domain"]["density"]["name"], "cross.npy");
+    assert_eq!(json["options"]["domain"]["density"]["name"], "disk.npy");
     for class in json["tiles"][2]["scores"]["classes"].as_array().unwrap() {
         let mean = class["perceived"]["mean"].as_f64().unwrap();
         assert!((mean - 1.0).abs() < 0.12, "{class}");
@@ -128,19 +137,26 @@ fn the_command_makes_and_scores_tiles_of_a_density() {
     assert_eq!(json["tiles"][0]["scores"]["classes"].as_array().unwrap().len(), 5);
     room.run("report page tile.npy --integrands 4").succeeded();
     let page = String::from_utf8(room.read("page/index.html")).unwrap();
-    assert!(page.contains("--domain 'density(cross.npy)'"), "{page}");
+    assert!(page.contains("--domain 'density(disk.npy)'"), "{page}");
 
     // Scores need the file, and are not of another one.
-    std::fs::rename(room.at("cross.npy"), room.at("moved.npy")).unwrap();
-    let missing = "the density `cross.npy`, which is not there; say where it is with --domain";
+    std::fs::rename(room.at("disk.npy"), room.at("moved.npy")).unwrap();
+    let missing = "the density `disk.npy`, which is not there; say where it is with --domain";
     room.run("evaluate tile.npy").failed(2, &[missing]);
     room.run("evaluate tile.npy --domain density(moved.npy)").succeeded();
-    put(&room, "cross.npy", [2, 1], &[1.0, 2.0]);
-    room.run("evaluate tile.npy").failed(2, &["cross.npy is another one"]);
-    room.run("evaluate tile.npy --domain density(cross.npy)").succeeded();
-    put(&room, "cross.npy", [2, 1], &[1.0, 0.0]);
-    let outside = "which is not a point of the domain `density(cross.npy)`";
-    room.run("evaluate tile.npy --domain density(cross.npy)").failed(2, &[outside]);
+    put(&room, "disk.npy", [2, 1], &[1.0, 2.0]);
+    room.run("evaluate tile.npy").failed(2, &["disk.npy is another one"]);
+    std::fs::create_dir(room.at("there")).unwrap();
+    for (from, to) in
+        [("tile.npy", "tile.npy"), ("tile.json", "tile.json"), ("moved.npy", "disk.npy")]
+    {
+        std::fs::copy(room.at(from), room.at("there").join(to)).unwrap();
+    }
+    room.run("evaluate there/tile.npy").succeeded();
+    room.run("evaluate tile.npy --domain density(disk.npy)").succeeded();
+    put(&room, "disk.npy", [2, 1], &[1.0, 0.0]);
+    let outside = "which is not a point of the domain `density(disk.npy)`";
+    room.run("evaluate tile.npy --domain density(disk.npy)").failed(2, &[outside]);
 }
 
 #[test]
@@ -156,9 +172,9 @@ fn what_is_no_density_is_refused() {
     ] {
         put(&room, "d.npy", size, &levels);
         room.run(&format!("{optimize} density(d.npy)"))
-            .failed(2, &["the density `d.npy` is refused", why]);
+            .failed(1, &["the density `d.npy` is refused", why]);
     }
-    room.run(&format!("{optimize} density(none.png)")).failed(2, &["`none.png` cannot be read"]);
+    room.run(&format!("{optimize} density(none.png)")).failed(1, &["`none.png` cannot be read"]);
     put(&room, "d.npy", [2, 1], &[1.0, 3.0]);
     let dims = "a sample of the domain `density(d.npy)` has 2 dimensions, not 3";
     room.run(&format!("{optimize} density(d.npy) --dims 3")).failed(2, &[dims]);
