@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Makes every tile of the table in docs/domains.md, three seeds of each, and scores them beside mapped
-# tiles of the square, in about 20 minutes of two cores. Tables go to the standard output.
+# Makes every tile of the tables in docs/domains.md, three seeds of each, and scores them beside mapped
+# tiles of the square, in about 30 minutes of two cores. Tables go to the standard output.
 #
 #     examples/domains.sh DIR
 #
@@ -22,17 +22,28 @@ make() {
     head -1 "$dir/$name.log"
 }
 
-for domain in circle disk sphere hemisphere cosine; do
-    # The circle has places on a line; a tile of them gets a polish as others do.
-    from=square options=()
-    [[ $domain = circle ]] && from=line options=(--dims 1 --polish 150)
-    tiles=() maps=()
+# compare NAME DOMAIN [OPTIONS...]: tiles of a domain beside mapped ones, for which the options are.
+compare() {
+    local name=$1 domain=$2 from=square
+    shift 2
+    [[ $# -gt 0 ]] && from=line
+    local tiles=() maps=()
     for seed in 1 2 3; do
-        make "$from-$seed" --seed "$seed" "${options[@]}"
-        make "$domain-$seed" --seed "$seed" --domain "$domain"
-        tiles+=("$dir/$domain-$seed.npy")
+        make "$from-$seed" --seed "$seed" "$@"
+        make "$name-$seed" --seed "$seed" --domain "$domain"
+        tiles+=("$dir/$name-$seed.npy")
         maps+=(--map "$dir/$from-$seed.npy")
     done
-    printf '\n## %s\n\n' "$domain"
+    printf '\n## %s\n\n' "$name"
     "$perceptile" evaluate "${tiles[@]}" "${maps[@]}"
+}
+
+# The circle has places on a line; a tile of them gets a polish as others do.
+compare circle circle --dims 1 --polish 150
+for domain in disk sphere hemisphere cosine; do
+    compare "$domain" "$domain"
+done
+cargo run --release --quiet --example densities -- "$dir/pictures" >/dev/null
+for density in star gradient landscape; do
+    compare "$density" "density($dir/pictures/$density.png)"
 done

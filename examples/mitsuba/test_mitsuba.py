@@ -17,6 +17,7 @@ import numpy as np
 
 mi.set_variant("llvm_ad_rgb")
 
+import domains
 import samplers
 import tile_sampler
 from assets import read_off, tessellate
@@ -357,6 +358,38 @@ class Comparison(unittest.TestCase):
             tile, report = f"{folder}/tile.npy", f"{folder}/report"
             report = [PROGRAM, "report", report, tile, "--renders", folder]
             subprocess.run(report, check=True, stdout=subprocess.DEVNULL)
+
+    def test_native_tiles_of_domains(self):
+        here = Path(__file__).parent
+        with tempfile.TemporaryDirectory() as folder:
+            command = [sys.executable, str(here / "domains.py"), folder, "--program", PROGRAM]
+            command += ["--size", "80", "--runs", "3", "--spp", "64", "--steps", "300"]
+            command += ["--only", "occlusion,star"]
+            subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+            result = json.loads((Path(folder) / "domains.json").read_text())["errors"]
+            for title in ("Ambient occlusion", "Lens, star"):
+                error = {key: np.mean(errors) for key, errors in result[title].items()}
+                self.assertAlmostEqual(error["white"], 1)
+                self.assertLess(error["native"], 0.85)
+                self.assertLess(error["mapped"], 0.9)
+            # What is mapped here scores as what the program maps.
+            places = np.load(f"{folder}/small.npy")[:, :, :, 0]
+            star = next(it for it in domains.experiments() if it.name == "star")
+            for domain, experiment in (
+                ("cosine", domains.experiments()[0]),
+                ("sphere", domains.experiments()[1]),
+                (f"density({folder}/star-aperture.npy)", star),
+            ):
+                points = (domains.mapped(experiment, places) + 1) / 2
+                points = np.clip(points, 0, 1 - 2**-24).astype(np.float32)
+                np.save(f"{folder}/mapped.npy", points[:, :, :, None])
+                command = [PROGRAM, "evaluate", f"{folder}/mapped.npy", "--domain", domain]
+                command += ["--map", f"{folder}/small.npy", "--integrands", "16", "--json"]
+                done = subprocess.run(command, check=True, capture_output=True)
+                ours, other = (tile["scores"] for tile in json.loads(done.stdout)["tiles"])
+                for a, b in zip(ours["classes"], other["classes"]):
+                    mean = b["perceived"]["mean"]
+                    self.assertAlmostEqual(a["perceived"]["mean"] / mean, 1, delta=0.01)
 
     def test_error_over_samples(self):
         here = Path(__file__).parent
