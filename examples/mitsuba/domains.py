@@ -1,11 +1,11 @@
-"""Renders with directions and places on a lens from tiles of their own domains, and from mapped ones.
+"""Renders with directions and places on a lens from native tiles of domains, and from mapped ones.
 
     python examples/mitsuba/domains.py OUT [--program perceptile]
 
-Four experiments: ambient occlusion (cosine hemisphere), a soft sky (sphere), and depth of field behind
-a hexagonal and a star-shaped aperture (densities). Each is rendered with a native tile, with the
-square's default tile mapped by an equal-area map, and with white noise. The folder OUT receives the
-tiles, `domains.json` and `domains.md`; what is there already is kept.
+Four experiments: ambient occlusion (cosine hemisphere), a soft sky (sphere), and depth of field
+behind a hexagonal and a star-shaped aperture (densities). Each is rendered with a native tile, with
+the square's default tile mapped by an equal-area map, and with white noise. The folder OUT receives
+the tiles, `domains.json` and `domains.md`; what is there already is kept.
 """
 
 import argparse
@@ -122,7 +122,10 @@ def lights(_, t):
             "radius": 0.06,
             "emitter": {
                 "type": "area",
-                "radiance": {"type": "rgb", "value": [4, 3 + np.sin(i), 2.5 + np.cos(2 * i)]},
+                "radiance": {
+                    "type": "rgb",
+                    "value": [4, 3 + np.sin(i), 2.5 + np.cos(2 * i)],
+                },
             },
         }
     for i in range(5):
@@ -138,7 +141,7 @@ def lights(_, t):
 
 
 class View:
-    """A frame of a scene: what the camera sees in the middles of the pixels, or through its lens."""
+    """A frame of a scene: what the camera sees in the middles of pixels, or through its lens."""
 
     def __init__(self, experiment, frame, size):
         self.scene = render.load(experiment.frame(None, frame))
@@ -331,7 +334,9 @@ def main():
     parser.add_argument(
         "--spp", type=int, default=256, help="samples of each of two references [default: 256]"
     )
-    parser.add_argument("--steps", type=int, help="steps for every tile [default: as many as are good]")
+    parser.add_argument(
+        "--steps", type=int, help="steps for every tile [default: as many as are good]"
+    )
     parser.add_argument("--only", help="names of experiments, such as sky,star [default: all]")
     args = parser.parse_args()
     chosen = experiments()
