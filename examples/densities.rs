@@ -2,8 +2,7 @@
 //!
 //!     cargo run --release --example densities -- DIR
 //!
-//! `star.png` and `hexagon.png` are apertures, `gradient.png` rises from left to right, and
-//! `landscape.png` is what a photograph may have: soft and hard edges, levels over three decades, and
+//! `star.png` is an aperture, `gradient.png` rises from left to right, and `landscape.png` is what a photograph may have: soft and hard edges, levels over three decades, and
 //! parts that are black.
 
 use std::path::PathBuf;
@@ -22,12 +21,8 @@ const FINE: usize = 4;
 fn main() -> anyhow::Result<()> {
     let folder: PathBuf = std::env::args_os().nth(1).context("say DIR")?.into();
     std::fs::create_dir_all(&folder)?;
-    let pictures: [(&str, Level); 4] = [
-        ("star", star),
-        ("hexagon", hexagon),
-        ("gradient", |x, _| 0.5 + 0.5 * x),
-        ("landscape", landscape),
-    ];
+    let pictures: [(&str, Level); 3] =
+        [("star", star), ("gradient", |x, _| 0.5 + 0.5 * x), ("landscape", landscape)];
     for (name, level) in pictures {
         let path = folder.join(name).with_extension("png");
         let raster = Raster {
@@ -62,15 +57,6 @@ fn star(x: f64, y: f64) -> f64 {
         x * angle.sin() - y * angle.cos() < 0.36
     });
     f64::from(u8::from(inside.count() >= 4 && x * x + y * y < 0.98))
-}
-
-/// 1 within a hexagon.
-fn hexagon(x: f64, y: f64) -> f64 {
-    let inside = (0..6).all(|k| {
-        let angle = std::f64::consts::TAU * f64::from(k) / 6.0;
-        x * angle.cos() + y * angle.sin() < 0.83
-    });
-    f64::from(u8::from(inside))
 }
 
 /// A sky with a lamp, and hills in front, some of which are black.

@@ -43,6 +43,44 @@ def add_foreign(parser):
     )
 
 
+def add_common(parser, size, runs, spp):
+    """What comparisons of several tiles have in common."""
+    parser.add_argument("out", type=Path, help="folder for everything that is made")
+    parser.add_argument("--program", default="perceptile", help="the program `perceptile`")
+    add_foreign(parser)
+    sides = f"pixels along a side [default: {size}]"
+    parser.add_argument("--size", type=int, default=size, help=sides)
+    shifts = f"shifts of every tile [default: {runs}]"
+    parser.add_argument("--runs", type=int, default=runs, help=shifts)
+    samples = f"samples of the references [default: {spp}]"
+    parser.add_argument("--spp", type=int, default=spp, help=samples)
+    parser.add_argument(
+        "--steps", type=int, help="steps for every tile [default: as many as are good]"
+    )
+    parser.add_argument("--only", help="names of experiments [default: all]")
+
+
+def settings_of(args):
+    """What results depend on."""
+    return {
+        "size": args.size,
+        "runs": args.runs,
+        "spp": args.spp,
+        "steps": args.steps,
+        "foreign": {name: digest(file) for name, file in args.foreign},
+        "program": subprocess.check_output([args.program, "--version"], text=True).strip(),
+    }
+
+
+def keep_settings(parser, folder, settings):
+    """Refuses a folder that has results of other settings."""
+    kept = folder / "settings.json"
+    if not kept.exists():
+        kept.write_text(json.dumps(settings))
+    elif (before := json.loads(kept.read_text())) != settings:
+        parser.error(f"{folder} has results of other settings, {before}: take another folder")
+
+
 def digest(*files):
     """A short name of what files contain."""
     content = hashlib.sha256()
@@ -54,19 +92,8 @@ def digest(*files):
 def main():
     """Reads the arguments, runs the experiments and writes the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("out", type=Path, help="folder for everything that is made")
-    parser.add_argument("--program", default="perceptile", help="the program `perceptile`")
-    add_foreign(parser)
+    add_common(parser, size=256, runs=8, spp=512)
     parser.add_argument("--scenes", default=",".join(SCENES), help="names of scenes [default: all]")
-    parser.add_argument("--size", type=int, default=256, help="pixels along a side [default: 256]")
-    parser.add_argument("--runs", type=int, default=8, help="shifts of every tile [default: 8]")
-    parser.add_argument(
-        "--spp", type=int, default=512, help="samples of the references [default: 512]"
-    )
-    parser.add_argument(
-        "--steps", type=int, help="steps for every tile [default: as many as are good]"
-    )
-    parser.add_argument("--only", help="names of experiments [default: all]")
     args = parser.parse_args()
     if args.spp < render.PASS or args.spp % render.PASS or args.runs < 1 or args.size < 64:
         parser.error(
@@ -78,12 +105,7 @@ def main():
 
     (args.out / "tiles").mkdir(parents=True, exist_ok=True)
     settings = {
-        "size": args.size,
-        "runs": args.runs,
-        "spp": args.spp,
-        "steps": args.steps,
-        "foreign": {name: digest(file) for name, file in args.foreign},
-        "program": subprocess.check_output([args.program, "--version"], text=True).strip(),
+        **settings_of(args),
         # What the tables look like is no setting.
         "scripts": digest(
             *(
@@ -92,11 +114,7 @@ def main():
             )
         ),
     }
-    kept = args.out / "settings.json"
-    if not kept.exists():
-        kept.write_text(json.dumps(settings))
-    elif (before := json.loads(kept.read_text())) != settings:
-        parser.error(f"{args.out} has results of other settings, {before}: take another folder")
+    keep_settings(parser, args.out, settings)
     setup = experiments.Setup(
         program=args.program,
         folder=args.out,

@@ -10,7 +10,6 @@ the tiles, `domains.json` and `domains.md`; what is there already is kept.
 
 import argparse
 import json
-import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,7 +23,7 @@ import measure
 import render
 import scenes
 import tiles
-from compare import add_foreign, digest
+from compare import add_common, keep_settings, settings_of
 from tile_sampler import read_tile
 
 # Points of a sequence that references take theirs from.
@@ -326,18 +325,7 @@ def table(results):
 def main():
     """Reads the arguments, makes the tiles, renders and writes the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("out", type=Path, help="folder for everything that is made")
-    parser.add_argument("--program", default="perceptile", help="the program `perceptile`")
-    add_foreign(parser)
-    parser.add_argument("--size", type=int, default=192, help="pixels along a side [default: 192]")
-    parser.add_argument("--runs", type=int, default=6, help="shifts of every tile [default: 6]")
-    parser.add_argument(
-        "--spp", type=int, default=256, help="samples of each of two references [default: 256]"
-    )
-    parser.add_argument(
-        "--steps", type=int, help="steps for every tile [default: as many as are good]"
-    )
-    parser.add_argument("--only", help="names of experiments, such as sky,star [default: all]")
+    add_common(parser, size=192, runs=6, spp=256)
     args = parser.parse_args()
     chosen = experiments()
     if args.only:
@@ -348,18 +336,8 @@ def main():
         chosen = [experiment for experiment in chosen if experiment.name in wanted]
     args.out.mkdir(parents=True, exist_ok=True)
     kept = args.out / "domains.json"
-    settings = {
-        "size": args.size,
-        "runs": args.runs,
-        "spp": args.spp,
-        "steps": args.steps,
-        "foreign": {name: digest(file) for name, file in args.foreign},
-        "program": subprocess.check_output([args.program, "--version"], text=True).strip(),
-    }
-    found = json.loads(kept.read_text()) if kept.exists() else {"settings": settings, "errors": {}}
-    if found["settings"] != settings:
-        parser.error(f"{args.out} has results of other settings: take another folder")
-    results = found["errors"]
+    keep_settings(parser, args.out, settings_of(args))
+    results = json.loads(kept.read_text()) if kept.exists() else {}
     kernel = measure.Kernel.of(args.program, tiles.perception(tiles.SIGMA))
     square = read_tile(tiles.make(args.program, "small", args.out, args.steps))[0][:, :, :, 0]
     for experiment in chosen:
@@ -374,7 +352,7 @@ def main():
         for name, file in args.foreign:
             methods[f"{name}, mapped"] = Tile(mapped(experiment, read_tile(file)[0][:, :, :, 0]))
         results[experiment.title] = run(experiment, methods, kernel, args)
-        kept.write_text(json.dumps(found))
+        kept.write_text(json.dumps(results))
     (args.out / "domains.md").write_text(table(results))
     print(table(results))
 

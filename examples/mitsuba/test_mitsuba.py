@@ -366,7 +366,7 @@ class Comparison(unittest.TestCase):
             command += ["--size", "80", "--runs", "3", "--spp", "64", "--steps", "300"]
             command += ["--only", "occlusion,star"]
             subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
-            result = json.loads((Path(folder) / "domains.json").read_text())["errors"]
+            result = json.loads((Path(folder) / "domains.json").read_text())
             for title in ("Ambient occlusion", "Lens, star"):
                 error = {key: np.mean(errors) for key, errors in result[title].items()}
                 self.assertAlmostEqual(error["white"], 1)

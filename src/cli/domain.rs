@@ -100,7 +100,7 @@ fn density(sidecar: &Path, name: &str, sha256: &str) -> Result<Domain, Failure> 
     let there: Vec<PathBuf> = paths.into_iter().flatten().filter(|path| path.is_file()).collect();
     let read = |path: &PathBuf| DomainSpec::File(path.display().to_string()).resolve();
     let is_it =
-        |domain: &Domain| matches!(domain, Domain::Density(density) if density.sha256() == sha256);
+        |domain: &Domain| domain.density().is_some_and(|density| density.sha256() == sha256);
     if let Some(domain) = there.iter().filter_map(|path| read(path).ok()).find(is_it) {
         return Ok(domain);
     }
@@ -115,8 +115,7 @@ fn density(sidecar: &Path, name: &str, sha256: &str) -> Result<Domain, Failure> 
 
 /// Checks that no file of a tile is the density that it is made for.
 pub fn check_density(outputs: &OutputFiles, domain: Domain) -> Result<(), Misuse> {
-    let Domain::Density(density) = domain else { return Ok(()) };
-    match outputs.find(Path::new(density.name())) {
+    match domain.density().and_then(|density| outputs.find(Path::new(density.name()))) {
         Some(file) => Err(Misuse(format!(
             "the density would be replaced by {}, a file of the tile: give another --out",
             file.display()

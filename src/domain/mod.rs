@@ -293,12 +293,17 @@ impl Domain {
         self.shape().is_some_and(Shape::is_warped_by_places)
     }
 
+    /// The density, if it is one.
+    pub fn density(self) -> Option<Density> {
+        match self {
+            Self::Density(density) => Some(density),
+            _ => None,
+        }
+    }
+
     /// Bytes that each process has of it, beside what all domains take.
     pub fn bytes(self) -> usize {
-        match self {
-            Self::Density(density) => density.picture().bytes(),
-            _ => 0,
-        }
+        self.density().map_or(0, |density| density.picture().bytes())
     }
 
     /// How wide it is, relative to a square or disk that fills the unit square.

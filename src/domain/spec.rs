@@ -5,7 +5,7 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-use super::{Density, Domain, DomainError, read};
+use super::{Domain, DomainError, read};
 
 /// A domain, or the file of one.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -48,17 +48,16 @@ impl From<Domain> for DomainSpec {
 
 impl fmt::Display for DomainSpec {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let number = |domain: &Domain| Domain::ALL.iter().position(|it| it == domain);
-        match self {
-            Self::Known(Domain::Density(density)) => write_density(f, density),
-            Self::Known(domain) => f.pad(number(domain).map_or("", |i| Domain::NAMES[i])),
-            Self::File(file) => write!(f, "density({file})"),
-        }
+        let file = match self {
+            Self::Known(Domain::Density(density)) => density.name(),
+            Self::Known(domain) => {
+                let number = Domain::ALL.iter().position(|it| it == domain);
+                return f.pad(number.map_or("", |i| Domain::NAMES[i]));
+            }
+            Self::File(file) => file,
+        };
+        f.pad(&format!("density({file})"))
     }
-}
-
-fn write_density(f: &mut fmt::Formatter<'_>, density: &Density) -> fmt::Result {
-    write!(f, "density({})", density.name())
 }
 
 impl FromStr for DomainSpec {

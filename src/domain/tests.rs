@@ -412,6 +412,36 @@ fn rounded_points_of_a_density_are_adopted() {
         let adopted = domain.adopt(&Tile::new(shape, samples).unwrap());
         assert!(adopted.is_ok(), "{domain}: {:?}", adopted.err());
     }
+    // Two lone pixels, as far from the one that a rounded sample is in: its own one is nearer to it.
+    const SIZE: usize = 700;
+    let rounded = |level: usize| (level as f32 + 0.5) / 256.0;
+    let place = |level: usize| rounded(level) * SIZE as f32;
+    let level = (2..250).find(|&level| place(level).fract() > 0.95).unwrap();
+    let pixel = place(level) as usize;
+    let mut levels = vec![0.0; SIZE * SIZE];
+    for at in [pixel - 2, pixel + 2] {
+        levels[at * SIZE + at] = 1.0;
+    }
+    let shape = TileShape::new(1, 1, 1, 1, 2).unwrap();
+    let tile = Tile::new(shape, vec![rounded(level); 2]).unwrap();
+    assert!(make("lone", [SIZE, SIZE], &levels).adopt(&tile).is_ok());
+}
+
+/// The last coordinate of a column is one of that column.
+#[test]
+fn coordinates_at_borders_have_the_density_of_their_own_column() {
+    const COLUMNS: usize = 1000;
+    let levels: Vec<f64> = (0..COLUMNS).map(|i| (i % 2) as f64).collect();
+    let domain = Domain::Density(Density::new("comb", [COLUMNS, 1], &levels).unwrap());
+    let (Pull::Uneven(uneven), Surface::Mask(mask)) = (domain.pull(), domain.surface()) else {
+        panic!()
+    };
+    for column in (2..COLUMNS).step_by(2) {
+        for inside in [0.1, 0.9] {
+            let point = mask.bring_back([(column as f32 + inside) / COLUMNS as f32, 0.5]);
+            assert!(uneven.densities(point)[0] > 0.0, "{column} {inside}: {point:?}");
+        }
+    }
 }
 
 /// Pictures whose sides differ as much as may be are no more work than others.

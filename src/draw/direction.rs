@@ -16,8 +16,8 @@ use crate::tile::MAX_DIMS;
 pub struct Direction {
     /// Unit vector; components past the tile's dimensions are 0.
     pub theta: [f32; MAX_DIMS],
-    /// How the uniform density on the cube looks along it.
-    pub density: Density,
+    /// How the domain looks along it.
+    pub projection: Projection,
 }
 
 impl Direction {
@@ -36,7 +36,7 @@ impl Direction {
 
 /// The shape of the projected density, up to where it stands.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Density {
+pub enum Projection {
     /// At most two components differ from 0, in the cube: a trapezoid.
     Trapezoid,
     /// All projections of a sphere are as likely (Archimedes).
@@ -134,7 +134,7 @@ impl DirectionSet {
                         *component = -*component;
                     }
                 }
-                Direction { theta, density: Density::Table { index: index as u32 } }
+                Direction { theta, projection: Projection::Table { index: index as u32 } }
             }
         }
     }
@@ -142,11 +142,11 @@ impl DirectionSet {
     /// One that is as `u` says for its table, turned by a random angle where it does not matter.
     fn turned(&self, u: f64, stream: &mut Stream) -> Direction {
         let table = |theta, index: usize| {
-            let density = match self.domain.has_uniform_projections() {
-                true => Density::Uniform,
-                false => Density::Table { index: index as u32 },
+            let projection = match self.domain.has_uniform_projections() {
+                true => Projection::Uniform,
+                false => Projection::Table { index: index as u32 },
             };
-            Direction { theta, density }
+            Direction { theta, projection }
         };
         if self.symmetry == Symmetry::None {
             let index = ((u * Self::ANGLES as f64) as usize).min(Self::ANGLES - 1);
@@ -176,7 +176,7 @@ impl DirectionSet {
         let (sin, cos) = half_turn(u);
         let mut theta = [0.0; MAX_DIMS];
         (theta[a], theta[b]) = (cos as f32, sin as f32);
-        Direction { theta, density: Density::Trapezoid }
+        Direction { theta, projection: Projection::Trapezoid }
     }
 
     /// In the plane of a random pair of axes, at the angle π·`u`; in a domain whose axes are as all
@@ -206,7 +206,7 @@ impl DirectionSet {
 
     /// The direction across one that is in the plane of a pair of axes.
     pub fn across(&self, first: &Direction) -> Direction {
-        if let (Symmetry::None, Density::Table { index }) = (self.symmetry, first.density) {
+        if let (Symmetry::None, Projection::Table { index }) = (self.symmetry, first.projection) {
             let index = index as usize;
             let angle = (index + Self::ANGLES / 2) % Self::ANGLES;
             let axis = (2 * Self::ANGLES + 1).saturating_sub(index);
@@ -226,14 +226,14 @@ impl DirectionSet {
     /// Number `index` of the fixed set.
     fn listed(&self, index: usize) -> Direction {
         let theta = self.representatives[index];
-        Direction { theta, density: Density::Table { index: index as u32 } }
+        Direction { theta, projection: Projection::Table { index: index as u32 } }
     }
 
     /// Along an axis.
     pub fn axis(&self, k: usize) -> Direction {
         let mut theta = [0.0; MAX_DIMS];
         theta[k] = 1.0;
-        Direction { theta, density: Density::Trapezoid }
+        Direction { theta, projection: Projection::Trapezoid }
     }
 }
 
@@ -297,6 +297,7 @@ fn sphere(dims: usize, stream: &mut Stream) -> [f32; MAX_DIMS] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::domain::tests::densities;
 
     #[test]
     fn half_turns_are_those_of_the_exact_functions() {
@@ -307,6 +308,28 @@ mod tests {
             assert!((sin - exact_sin).abs() < 1e-10 && (cos - exact_cos).abs() < 1e-10, "{u}");
         }
         assert_eq!(half_turn(0.5).0, 1.0);
+    }
+
+    /// Angles and both axes, each with the table of its own direction; across is a right angle.
+    #[test]
+    fn directions_of_a_density_are_those_of_its_tables() {
+        let set = DirectionSet::new(densities()[0], 2);
+        let mut stream = Stream::new(1, Use::Directions, 0, 0);
+        let mut axes = [0; 2];
+        for i in 0..600 {
+            let axis = set.random_axis(0.3, &mut stream);
+            axes[usize::from(axis.theta[1] == 1.0)] += 1;
+            for direction in [set.any(f64::from(i) / 600.0, &mut stream), axis] {
+                let across = set.across(&direction);
+                let dot: f32 = direction.theta.iter().zip(across.theta).map(|(a, b)| a * b).sum();
+                assert!(dot.abs() < 1e-6, "{direction:?} {across:?}");
+                for it in [direction, across] {
+                    let Projection::Table { index } = it.projection else { panic!("{it:?}") };
+                    assert_eq!(set.representatives()[index as usize], it.theta);
+                }
+            }
+        }
+        assert!(axes[0] > 200 && axes[1] > 200, "{axes:?}");
     }
 
     #[test]

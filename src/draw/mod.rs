@@ -7,7 +7,7 @@ mod direction;
 mod levels;
 mod philox;
 
-pub use direction::{Density, Direction, DirectionSet};
+pub use direction::{Direction, DirectionSet, Projection};
 pub use levels::{LevelSet, LevelSets};
 pub use philox::{Stream, Use, philox};
 

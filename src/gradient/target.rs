@@ -11,7 +11,7 @@ use std::sync::{Arc, LazyLock, Mutex, OnceLock, PoisonError};
 
 use super::simd::{Isa, PLACES};
 use crate::domain::{Cdf, Domain, Symmetry};
-use crate::draw::{Density, Direction, DirectionSet};
+use crate::draw::{Direction, DirectionSet, Projection};
 use crate::tile::MAX_DIMS;
 
 /// Targets along the directions of a tile's domain.
@@ -81,8 +81,8 @@ impl Targets {
 
     /// The inverse CDF along `direction` at `u` in [0, 1], counted from the start of its extent.
     pub fn quantile(&self, direction: &Direction, u: f64) -> f64 {
-        match direction.density {
-            Density::Trapezoid => {
+        match direction.projection {
+            Projection::Trapezoid => {
                 let (mut a, mut b) = (0.0_f64, 0.0_f64);
                 for x in direction.theta.map(|x| f64::from(x.abs())) {
                     (a, b) = (a.max(x), b.max(a.min(x)));
@@ -92,8 +92,8 @@ impl Targets {
                 };
                 if u <= 0.5 { half(u) } else { a + b - half(1.0 - u) }
             }
-            Density::Uniform => u,
-            Density::Table { index } => {
+            Projection::Uniform => u,
+            Projection::Table { index } => {
                 let half = 0.5 / NODES as f64;
                 let mean = self.mean_of(index, (u - half).max(0.0), (u + half).min(1.0));
                 if self.centred { mean + 0.5 * f64::from(self.extent(direction).1) } else { mean }
@@ -105,8 +105,8 @@ impl Targets {
     /// start of the extent. Across a gap in a density a whole range of places is as good: to the
     /// nearest of them.
     pub fn displacement(&self, direction: &Direction, u: f64, place: f64) -> f64 {
-        match direction.density {
-            Density::Table { index } if self.has_gaps => {
+        match direction.projection {
+            Projection::Table { index } if self.has_gaps => {
                 let step = 1.0 / NODES as f64;
                 let (low, high) = ((u - step).max(0.0), (u + step).min(1.0));
                 let length = f64::from(self.extent(direction).1);
@@ -137,8 +137,8 @@ impl Targets {
     ) {
         // Negative components mirror the projection; it then starts below 0.
         let (low, _) = direction.extent(self.dims);
-        match direction.density {
-            Density::Trapezoid => {
+        match direction.projection {
+            Projection::Trapezoid => {
                 let (mut a, mut b) = (0.0_f32, 0.0_f32);
                 for x in &direction.theta[..self.dims] {
                     let x = x.abs();
@@ -146,11 +146,11 @@ impl Targets {
                 }
                 trapezoid(a, b, low, &self.root_means, targets);
             }
-            Density::Uniform => {
+            Projection::Uniform => {
                 let (low, _) = self.extent(direction);
                 trapezoid(1.0, 0.0, low, &self.root_means, targets);
             }
-            Density::Table { index } if self.skewed => {
+            Projection::Table { index } if self.skewed => {
                 let n = targets.len();
                 let integrals = self.integrals(isa, index, n, n, integrals);
                 let (low, length) = self.extent(direction);
@@ -159,7 +159,7 @@ impl Targets {
                     *target = middle + ((ends[1] - ends[0]) * n as f64) as f32;
                 }
             }
-            Density::Table { index } => {
+            Projection::Table { index } => {
                 // The distribution is symmetric, so one half of the targets gives the other.
                 let (low, length) = self.extent(direction);
                 // From where on the table counts.
@@ -284,6 +284,7 @@ impl Table {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::domain::tests::densities;
     use crate::draw::{Stream, Use};
     use crate::gradient::reference::ProjectedDensity;
     use crate::gradient::simd::Plain;
@@ -403,6 +404,32 @@ mod tests {
         }
     }
 
+    /// Columns 9 and 10 of the islands are empty: there and at their borders samples are right that have
+    /// the share of what is left of them below them. Elsewhere they go to the quantile.
+    #[test]
+    fn nobody_has_to_go_across_a_gap() {
+        let domain = densities()[0];
+        let set = DirectionSet::new(domain, 2);
+        let targets = Targets::new(&set);
+        let axis = Projection::Table { index: DirectionSet::ANGLES as u32 };
+        let mut theta = [0.0; MAX_DIMS];
+        theta[0] = 1.0;
+        let direction = Direction { theta, projection: axis };
+        let below = domain.below(&[1.0, 0.0], 10.0 / 14.0);
+        for place in [9.0, 9.4, 10.7, 11.0].map(|column| column / 14.0) {
+            let by = targets.displacement(&direction, below, place);
+            // The gap is within an interval of the table, which knows its middle only.
+            assert!(by.abs() < 0.01, "{place}: {by}");
+        }
+        for u in [0.1, below - 0.05, below + 0.05, 0.9] {
+            let quantile = targets.quantile(&direction, u);
+            for place in [quantile - 0.1, quantile + 0.07] {
+                let by = targets.displacement(&direction, u, place);
+                assert!((by - (quantile - place)).abs() < 2e-3, "{u} {place}: {by}");
+            }
+        }
+    }
+
     #[test]
     fn a_table_of_two_components_equals_the_trapezoid() {
         let (a, b) = (0.8_f32, 0.6_f32);
@@ -422,7 +449,7 @@ mod tests {
             let mut expected = vec![0.0; n];
             trapezoid(a, b, 0.0, &root_means(9), &mut expected);
             let mut found = vec![0.0; n];
-            let direction = Direction { theta, density: Density::Table { index: 0 } };
+            let direction = Direction { theta, projection: Projection::Table { index: 0 } };
             targets.fill(Plain, &direction, &mut Vec::new(), &mut found);
             for (x, y) in found.iter().zip(&expected) {
                 assert!((x - y).abs() < 1e-4, "{n}: {x} {y}");

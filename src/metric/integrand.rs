@@ -428,6 +428,25 @@ mod tests {
         }
     }
 
+    /// A spot has the integrands of the whole square, as much smaller as it is.
+    #[test]
+    fn integrands_are_as_wide_as_the_density() {
+        let sets = |size: [usize; 2], is_full: fn(usize) -> bool| {
+            let level = |i: usize| f64::from(u8::from(is_full(i)));
+            let levels: Vec<f64> = (0..size[0] * size[1]).map(level).collect();
+            let density = Density::new("spot", size, &levels).unwrap();
+            integrand_sets(Domain::Density(density), 1, 2, 6)
+        };
+        let whole = sets([2, 1], |_| true);
+        let spot = sets([16, 16], |i| (4..8).contains(&(i % 16)) && (8..12).contains(&(i / 16)));
+        for (whole, spot) in whole.iter().zip(&spot).filter(|(it, _)| it.class != Class::Linear) {
+            for (f, g) in whole.integrands.iter().zip(&spot.integrands) {
+                let error = f.integral() - g.integral();
+                assert!(error.abs() < 1e-5, "{}: {error}", whole.class);
+            }
+        }
+    }
+
     /// Nearly all in one place: no disk cuts it, and there are integrands all the same.
     #[test]
     fn densities_that_are_nearly_points_have_integrands() {

@@ -107,6 +107,28 @@ fn field(path: &Path, name: &str) -> Option<u64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::domain::Domain;
+    use crate::domain::tests::densities;
+    use crate::solver::{Parallelism, Preset};
+
+    /// Every process has a picture of its own.
+    #[test]
+    fn pictures_count_in_every_process() {
+        let foreseen = |domain, workers| {
+            let options = Preset::Quick.options().with_domain(domain);
+            let parallelism = Parallelism { workers, ..Parallelism::threads() };
+            foreseen(&Plan::new(&options, parallelism).unwrap())
+        };
+        for domain in densities() {
+            // Levels and the nearest pixels have 4 bytes each, sums 8.
+            let pixels = domain.density().unwrap().size().iter().product::<usize>();
+            assert!(domain.bytes() >= 12 * pixels, "{domain}");
+            for workers in [0, 3] {
+                let more = foreseen(domain, workers) - foreseen(Domain::Square, workers);
+                assert_eq!(more, (domain.bytes() * (1 + workers)) as u64, "{domain} {workers}");
+            }
+        }
+    }
 
     #[test]
     fn a_run_that_does_not_fit_is_told_the_limit() {

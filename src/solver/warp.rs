@@ -10,7 +10,7 @@
 //!
 //! A density on the square may have details that no projection resolves. There the second half of the
 //! frames moves the samples' places, as samples of the square. (Alone it would have to move them
-//! further, and then it tears neighbours apart at gaps and corners: edges of a star were 5 % worse.)
+//! further, and then it tears neighbours apart at gaps and corners.)
 //!
 //! Distributions are integer histograms of fixed bins, which add up alike in one process and on
 //! a cluster.

@@ -5,6 +5,8 @@ use std::path::{Path, PathBuf};
 
 use perceptile::domain::{Density, Domain};
 
+use crate::npy::npy;
+
 /// Levels of a ring with a gap beside a lone spot.
 fn ring(x: f64, y: f64) -> f64 {
     let (from_middle, from_spot) = ((x - 0.4).hypot(y - 0.45), (x - 0.9).hypot(y - 0.85));
@@ -35,15 +37,10 @@ pub fn densities() -> [Domain; 2] {
     [make("ring", SIZE, ring), make("slope", [7, 5], |x, y| 0.2 + x + 2.0 * x * y)]
 }
 
-/// A `.npy` file of rows and columns.
-pub fn array([width, height]: [usize; 2], levels: &[f64]) -> Vec<u8> {
-    let header =
-        format!("{{'descr': '<f8', 'fortran_order': False, 'shape': ({height}, {width}), }}");
-    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
-    bytes.extend(((header.len() + 1) as u16).to_le_bytes());
-    bytes.extend(header.bytes().chain(*b"\n"));
-    bytes.extend(levels.iter().flat_map(|level| level.to_le_bytes()));
-    bytes
+/// A `.npy` file of levels.
+pub fn rows_and_columns([width, height]: [usize; 2], levels: &[f64]) -> Vec<u8> {
+    let levels: Vec<f32> = levels.iter().map(|&level| level as f32).collect();
+    npy(&format!("({height}, {width})"), &levels)
 }
 
 /// The file of the ring.
@@ -51,7 +48,7 @@ pub fn ring_file() -> PathBuf {
     let file = Path::new(env!("CARGO_TARGET_TMPDIR")).join("ring.npy");
     // Tests that run at the same time find it whole.
     let unfinished = tempfile::NamedTempFile::new_in(env!("CARGO_TARGET_TMPDIR")).unwrap();
-    fs::write(unfinished.path(), array(SIZE, &levels(SIZE, ring))).unwrap();
+    fs::write(unfinished.path(), rows_and_columns(SIZE, &levels(SIZE, ring))).unwrap();
     unfinished.persist(&file).unwrap();
     file
 }

@@ -5,7 +5,7 @@ use perceptile::domain::Domain;
 use perceptile::metric::{Class, Coordinates, ScoreOptions, Scores};
 use perceptile::{Optimizer, Preset, Tile};
 
-use crate::densities::{array, densities};
+use crate::densities::{densities, rows_and_columns};
 use crate::tool::Room;
 
 /// A small tile of a domain.
@@ -85,7 +85,7 @@ fn the_command_makes_and_scores_tiles_of_a_domain() {
 
 /// The density of `levels` in a file of the room.
 fn put(room: &Room, name: &str, size: [usize; 2], levels: &[f64]) {
-    std::fs::write(room.at(name), array(size, levels)).unwrap();
+    std::fs::write(room.at(name), rows_and_columns(size, levels)).unwrap();
 }
 
 #[test]

@@ -18,6 +18,7 @@ mod launcher;
 #[cfg(target_os = "linux")]
 mod library;
 mod metric;
+mod npy;
 mod profile;
 #[cfg(all(target_os = "linux", feature = "mpi"))]
 mod ranks;

@@ -61,6 +61,8 @@ fn a_run_goes_on_without_the_file_of_its_density() {
     let flags = "--domain density(ring.npy)";
     room.run(&format!("{RUN} {flags} --out whole.npy")).succeeded();
     killed_with(&room, flags, 20);
+    let replaced = "the density would be replaced by";
+    room.run("resume tile.run --out ring.npy --force").failed(2, &[replaced]);
     fs::remove_file(room.at("ring.npy")).unwrap();
     room.run("resume tile.run").succeeded();
     assert!(room.read("tile.npy") == room.read("whole.npy"));
