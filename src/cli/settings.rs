@@ -202,7 +202,8 @@ settings! {
     #[arg(value_name = "WEIGHT", help_heading = "Polish (for experts)")]
     polish_linear_weight: f64 => polish.linear_weight,
 
-    /// Iterations of the final pass that makes the samples uniform; 0 skips it [default: 400]
+    /// Iterations of the final pass that makes the samples uniform, twice as many in other domains
+    /// than the square; 0 skips it [default: 400]
     #[arg(value_name = "N", help_heading = "Polish (for experts)", value_parser = whole::<u32>)]
     warp: u32 => warp.frames,
 

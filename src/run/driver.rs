@@ -176,7 +176,8 @@ fn drive(plan: &Plan, mut backend: impl Backend, mut watch: Watch<'_>) -> Result
     }
     watch.enter(Phase::Warp);
     let (storage, parallel) = backend.finish();
-    let section = storage.into_tile(plan.options.warp.all_frames(plan.options.shape.dims()));
+    let Options { warp, domain, shape, .. } = &plan.options;
+    let section = storage.into_tile(warp.all_frames(*domain, shape.dims()));
     let (reason, seconds) = watch.finish();
     let (steps, reason) = plan.outcome(&worker, reason);
     let descended = steps.min(plan.options.steps);

@@ -33,17 +33,20 @@ use crate::tile::{MAX_DIMS, TileShape};
 /// How the warp is done.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct WarpOptions {
-    /// Number of frames, in more than two dimensions for each other dimension that one has; 0
-    /// leaves the tile as it is.
+    /// Number of frames, in more than two dimensions for each other dimension that one has; twice as
+    /// many are taken in other domains than the square, whose borders even out later. 0 leaves the
+    /// tile as it is.
     pub frames: u32,
     /// Share of the way that samples go for each frame, in (0, 1].
     pub rate: f64,
 }
 
 impl WarpOptions {
-    /// Frames in all: as many times as a dimension has partners.
-    pub fn all_frames(&self, dims: usize) -> u32 {
-        self.frames.saturating_mul(dims.saturating_sub(1).max(1) as u32)
+    /// Frames in all: as many times as a dimension has partners, and twice that in other domains
+    /// than the square.
+    pub fn all_frames(&self, domain: Domain, dims: usize) -> u32 {
+        let times = dims.saturating_sub(1).max(1) * if domain.is_square() { 1 } else { 2 };
+        self.frames.saturating_mul(times as u32)
     }
 }
 
@@ -63,7 +66,7 @@ pub fn warp(
     simd: Simd,
 ) -> Storage {
     let dims = shape.dims();
-    let frames = options.all_frames(dims);
+    let frames = options.all_frames(domain, dims);
     let mask = match domain.surface() {
         Surface::Mask(mask) => Some(mask),
         _ => None,
@@ -414,7 +417,7 @@ mod tests {
         let (worker, mut storage) = plan.private().unwrap();
         storage.tile_mut(shape).copy_from_slice(words);
         let storage = warp(&worker, storage, (shape, layers, domain), options, 3, simd);
-        let tile = storage.into_tile(options.all_frames(dims));
+        let tile = storage.into_tile(options.all_frames(domain, dims));
         Samples { words: tile.slice()[..words.len()].to_vec() }
     }
 
