@@ -30,8 +30,9 @@ const LISTED: usize = 20;
 pub struct KernelArgs {
     /// The kernel, such as "gaussian(2.1) * fovvideovdp(60) @ 7x7x8"
     ///
-    /// A product of none, gaussian(SIGMA), gaussian(SIGMA, radius=PIXELS), fovvideovdp(FPS),
-    /// ema(ALPHA) (ALPHA is the weight of the newest frame), box(FRAMES), gaussian_t(SIGMA), gaussian_t(SIGMA, radius=FRAMES),
+    /// A product of none, gaussian(SIGMA), gaussian(SIGMA, radius=PIXELS), box_xy(PIXELS), binomial(N),
+    /// fovvideovdp(FPS), ema(ALPHA) or exponential(ALPHA) (ALPHA is the weight of the newest frame),
+    /// box(FRAMES), gaussian_t(SIGMA), gaussian_t(SIGMA, radius=FRAMES), binomial_t(N),
     /// table("FILE.npy", origin=(T, Y, X)) and every(FRAMES) (of which the filter sees one frame);
     /// then, if wanted, "@" and the box WIDTHxHEIGHTxFRAMES or the share PERCENT% to keep (infinite
     /// kernels keep 97% by default), and "of" and the samples of each pixel that are seen, the first

@@ -52,6 +52,13 @@ impl Factor {
                 Weights::Time(past(row.collect()))
             }
             Self::Box { frames } => Weights::Time(past(vec![1.0; *frames as usize])),
+            Self::BoxSpace { pixels } => {
+                Weights::Space { low: -((*pixels / 2) as i32), row: vec![1.0; *pixels as usize] }
+            }
+            Self::Binomial { n } => Weights::Space { low: centred(*n), row: binomial(*n) },
+            Self::BinomialTime { n } => {
+                Weights::Time(Grid::row(GridAxis::Time, centred(*n), binomial(*n)))
+            }
             Self::Every { frames } => Weights::Every(*frames),
             Self::Table { file, origin } => Weights::Table(table::read(file, *origin)?),
         })
@@ -62,6 +69,26 @@ impl Factor {
 fn past(mut weights: Vec<f64>) -> Grid {
     weights.reverse();
     Grid::row(GridAxis::Time, 1 - weights.len() as i32, weights)
+}
+
+/// The first offset of n + 1 weights around the own place.
+fn centred(n: u32) -> i32 {
+    -(n.div_ceil(2) as i32)
+}
+
+/// The binomial coefficients of n, in units of 2ⁿ.
+fn binomial(n: u32) -> Vec<f64> {
+    let mut row = vec![1.0];
+    for _ in 0..n {
+        row.push(0.0);
+        // From the end, where what was there before is not needed any more; halved, so that nothing
+        // overflows.
+        for k in (1..row.len()).rev() {
+            row[k] = 0.5 * (row[k] + row[k - 1]);
+        }
+        row[0] *= 0.5;
+    }
+    row
 }
 
 /// The first offset and the weights exp(−k²/2σ²), peak 1.
@@ -137,6 +164,17 @@ mod tests {
         for (k, (ours, published)) in taps.iter().zip(AT_60).enumerate() {
             assert!((ours - published).abs() < 1e-12, "tap {k}: {ours} != {published}");
         }
+    }
+
+    #[test]
+    fn binomial_weights_are_those_of_pascal() {
+        assert_eq!(binomial(1), [0.5, 0.5]);
+        assert_eq!(binomial(2), [0.25, 0.5, 0.25]);
+        assert_eq!(binomial(4), [1.0, 4.0, 6.0, 4.0, 1.0].map(|w| w / 16.0));
+        let long = binomial(512);
+        assert!(long.iter().all(|w| w.is_normal()));
+        assert!((long.iter().sum::<f64>() - 1.0).abs() < 1e-12);
+        assert_eq!((centred(1), centred(2), centred(3), centred(4)), (-1, -1, -2, -2));
     }
 
     #[test]

@@ -71,18 +71,25 @@ struct FactorName {
     usage: &'static str,
 }
 
-const FACTORS: [FactorName; 8] = [
+const FACTORS: [FactorName; 12] = [
     FactorName { name: "none", usage: "`none`, without arguments" },
     FactorName {
         name: "gaussian",
         usage: "`gaussian(SIGMA)` or `gaussian(SIGMA, radius=PIXELS)`, in pixels",
     },
+    FactorName { name: "box_xy", usage: "`box_xy(PIXELS)`, a whole number of pixels across" },
+    FactorName { name: "binomial", usage: "`binomial(N)`, where 2 is 3x3 pixels" },
     FactorName { name: "fovvideovdp", usage: "`fovvideovdp(FPS)`, in frames per second" },
     FactorName { name: "ema", usage: "`ema(ALPHA)`, the weight of the newest frame" },
+    FactorName {
+        name: "exponential",
+        usage: "`exponential(ALPHA)`, the weight of the newest frame",
+    },
     FactorName {
         name: "gaussian_t",
         usage: "`gaussian_t(SIGMA)` or `gaussian_t(SIGMA, radius=FRAMES)`, in frames",
     },
+    FactorName { name: "binomial_t", usage: "`binomial_t(N)`, where 2 is 3 frames" },
     FactorName { name: "box", usage: "`box(FRAMES)`, a whole number of frames" },
     FactorName { name: "every", usage: "`every(FRAMES)`, a whole number of frames" },
     FactorName { name: "table", usage: "`table(\"FILE.npy\", origin=(T, Y, X))`" },
@@ -229,7 +236,23 @@ impl<'a> Parser<'a> {
             "fovvideovdp" => {
                 Factor::FovVideoVdp { fps: real(take(&mut arguments, None)).ok_or_else(wrong)? }
             }
-            "ema" => Factor::Ema { alpha: real(take(&mut arguments, None)).ok_or_else(wrong)? },
+            // Two names of one filter: renderers have the first, FAST's textures the second.
+            "ema" | "exponential" => {
+                Factor::Ema { alpha: real(take(&mut arguments, None)).ok_or_else(wrong)? }
+            }
+            "box_xy" => {
+                let pixels = take(&mut arguments, None).ok_or_else(wrong)?;
+                let rule = "a whole number from 1 to 16384";
+                Factor::BoxSpace { pixels: whole(&pixels, "pixels", rule)? }
+            }
+            "binomial" | "binomial_t" => {
+                let n = take(&mut arguments, None).ok_or_else(wrong)?;
+                let n = whole(&n, "n", "a whole number from 1 to 512")?;
+                match name.name {
+                    "binomial" => Factor::Binomial { n },
+                    _ => Factor::BinomialTime { n },
+                }
+            }
             "box" | "every" => {
                 let frames = take(&mut arguments, None).ok_or_else(wrong)?;
                 let frames = whole(&frames, "frames", "a whole number from 1 to 16384")?;
@@ -479,7 +502,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::kernel::spec::MAX_LENGTH;
+    use crate::kernel::spec::{MAX_BINOMIAL, MAX_LENGTH};
 
     fn error(text: &str) -> ParseError {
         text.parse::<KernelSpec>().expect_err(text)
@@ -512,6 +535,8 @@ mod tests {
             ),
             ("2:frame+1e-3:none@50.5%", "2: frame + 0.001: none @ 50.5%"),
             ("gaussian_t(1)*box(3)", "gaussian_t(1) * box(3)"),
+            ("box_xy(3)*exponential(.1)", "box_xy(3) * ema(0.1)"),
+            ("binomial(2)*binomial_t(4)", "binomial(2) * binomial_t(4)"),
             (
                 "table(\"a \\\"b\\\\.npy\", origin=(0,1,2))",
                 "table(\"a \\\"b\\\\.npy\", origin=(0, 1, 2))",
@@ -547,7 +572,15 @@ mod tests {
             ("gaussian(2.1) + ", "", "expected a kernel"),
             ("gaussian(2.1", "", "`,` or `)`"),
             ("gausian(2.1)", "gausian", "no kernel named `gausian`"),
-            ("gausian(2.1)", "gausian", "gaussian_t, box, every, table, column and frame"),
+            (
+                "gausian(2.1)",
+                "gausian",
+                "gaussian_t, binomial_t, box, every, table, column and frame",
+            ),
+            ("binomial(0)", "0)", "n is 0"),
+            ("binomial_t(513)", "513", "n is 513"),
+            ("box_xy(2.5)", "2.5", "pixels is 2.5"),
+            ("exponential(0)", "0)", "alpha is 0"),
             ("Gaussian(2.1)", "Gaussian", "no kernel named `Gaussian`"),
             ("none(1)", "1)", "without arguments"),
             ("fovvideovdp(4)", "4)", "above 4"),
@@ -629,7 +662,7 @@ mod tests {
 
     #[test]
     fn limits_in_messages_are_those_of_the_code() {
-        assert_eq!(MAX_LENGTH, 16384);
+        assert_eq!((MAX_LENGTH, MAX_BINOMIAL), (16384, 512));
     }
 
     fn factor() -> impl Strategy<Value = Factor> {
@@ -644,6 +677,9 @@ mod tests {
             (4.0001..65536.0).prop_map(|fps| Factor::FovVideoVdp { fps }),
             (0.01..=1.0).prop_map(|alpha| Factor::Ema { alpha }),
             (1..=MAX_LENGTH).prop_map(|frames| Factor::Box { frames }),
+            (1..=MAX_LENGTH).prop_map(|pixels| Factor::BoxSpace { pixels }),
+            (1..=MAX_BINOMIAL).prop_map(|n| Factor::Binomial { n }),
+            (1..=MAX_BINOMIAL).prop_map(|n| Factor::BinomialTime { n }),
             (1..=MAX_LENGTH).prop_map(|frames| Factor::Every { frames }),
             (any::<String>(), [index.clone(), index.clone(), index])
                 .prop_map(|(file, origin)| Factor::Table { file, origin }),

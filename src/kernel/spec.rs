@@ -5,8 +5,9 @@
 //! class      = [ WEIGHT ":" ] ( product [ "@" truncation ] | "column" | "frame" ) [ "of" samples ]
 //! product    = factor { "*" factor }
 //! factor     = "none" | "gaussian(SIGMA)" | "gaussian(SIGMA, radius=PIXELS)"
-//!            | "fovvideovdp(FPS)" | "ema(ALPHA)" | "box(FRAMES)"
-//!            | "gaussian_t(SIGMA)" | "gaussian_t(SIGMA, radius=FRAMES)"
+//!            | "box_xy(PIXELS)" | "binomial(N)"
+//!            | "fovvideovdp(FPS)" | "ema(ALPHA)" | "exponential(ALPHA)" | "box(FRAMES)"
+//!            | "gaussian_t(SIGMA)" | "gaussian_t(SIGMA, radius=FRAMES)" | "binomial_t(N)"
 //!            | "table(\"FILE\", origin=(T, Y, X))" | "every(FRAMES)"
 //! truncation = WIDTH "x" HEIGHT "x" FRAMES | PERCENT "%"
 //! samples    = COUNT [ ".." [ COUNT ] ]
@@ -23,6 +24,8 @@ use crate::kernel::prefix::Prefix;
 
 /// Most pixels or frames that a kernel may extend over in one axis before it is truncated.
 pub const MAX_LENGTH: u32 = 1 << 14;
+/// Largest N of binomial weights: the least of them is 2⁻⁵¹² times their sum.
+pub const MAX_BINOMIAL: u32 = 512;
 /// Most classes of a mixture.
 pub const MAX_CLASSES: usize = 64;
 /// The share of Σ|g|, in per cent, that an infinite kernel keeps if no truncation is written.
@@ -50,7 +53,7 @@ pub enum Factor {
         /// Frames per second, above 4 (for two taps) and at most `4 ·` [`MAX_LENGTH`].
         fps: f64,
     },
-    /// `ema(ALPHA)`: exponential moving average, weight α(1−α)^j for the frame j in the past;
+    /// `ema(ALPHA)`, or `exponential(ALPHA)` as FAST has it: exponential moving average, weight α(1−α)^j for the frame j in the past;
     /// causal and, unless α is 1, infinite.
     Ema {
         /// Weight α of the newest frame, in (0, 1].
@@ -67,6 +70,22 @@ pub enum Factor {
     Box {
         /// Number of frames, 1 to [`MAX_LENGTH`].
         frames: u32,
+    },
+    /// `box_xy(PIXELS)`: the mean of a square of that many pixels across, from −⌊n/2⌋ to ⌈n/2⌉ − 1.
+    BoxSpace {
+        /// Pixels across, 1 to [`MAX_LENGTH`].
+        pixels: u32,
+    },
+    /// `binomial(N)`: binomial coefficients of N over the N + 1 pixels around the own one, along x and
+    /// along y; FAST's filter of that name (Donnelly et al. 2024), where 2 is 3×3.
+    Binomial {
+        /// N, 1 to [`MAX_BINOMIAL`].
+        n: u32,
+    },
+    /// `binomial_t(N)`: the same over the N + 1 frames around the own one.
+    BinomialTime {
+        /// N, 1 to [`MAX_BINOMIAL`].
+        n: u32,
     },
     /// `table("FILE", origin=(T, Y, X))`: any weights, from a `.npy` file of `f32` or `f64` with
     /// axes (dt, dy, dx). The file is read when the kernel is resolved.
@@ -363,6 +382,11 @@ impl Factor {
                 Ok(())
             }
             Self::Box { frames } | Self::Every { frames } => check_length("frames", frames),
+            Self::BoxSpace { pixels } => check_length("pixels", pixels),
+            Self::Binomial { n } | Self::BinomialTime { n } => {
+                let inside = (1..=MAX_BINOMIAL).contains(&n);
+                in_range("n", f64::from(n), inside, "a whole number from 1 to 512")
+            }
             Self::Table { origin, .. } => origin.iter().try_for_each(|&index| {
                 let inside = index < MAX_LENGTH;
                 in_range("origin", f64::from(index), inside, "whole numbers from 0 to 16383")
@@ -378,6 +402,9 @@ impl Factor {
             Self::None
             | Self::FovVideoVdp { .. }
             | Self::Box { .. }
+            | Self::BoxSpace { .. }
+            | Self::Binomial { .. }
+            | Self::BinomialTime { .. }
             | Self::Table { .. }
             | Self::Every { .. } => false,
         }
@@ -455,6 +482,9 @@ impl fmt::Display for Factor {
             Self::FovVideoVdp { fps } => write!(f, "fovvideovdp({})", number(*fps)),
             Self::Ema { alpha } => write!(f, "ema({})", number(*alpha)),
             Self::Box { frames } => write!(f, "box({frames})"),
+            Self::BoxSpace { pixels } => write!(f, "box_xy({pixels})"),
+            Self::Binomial { n } => write!(f, "binomial({n})"),
+            Self::BinomialTime { n } => write!(f, "binomial_t({n})"),
             Self::Every { frames } => write!(f, "every({frames})"),
             Self::Table { file, origin: [t, y, x] } => {
                 let quoted = file.replace('\\', "\\\\").replace('"', "\\\"");
