@@ -92,9 +92,23 @@ pub enum ArrayError {
 /// # Errors
 /// What `out` reports, and a shape of thousands of axes.
 pub fn write_header(shape: &[usize], out: &mut (impl Write + ?Sized)) -> io::Result<()> {
+    write_header_of(ElementKind::F32, shape, out)
+}
+
+/// Writes what stands before the elements of an array of this kind, little-endian, in C order.
+///
+/// # Errors
+/// Those of [`write_header`].
+pub fn write_header_of(
+    kind: ElementKind,
+    shape: &[usize],
+    out: &mut (impl Write + ?Sized),
+) -> io::Result<()> {
     let sizes: Vec<String> = shape.iter().map(usize::to_string).collect();
+    // A single byte has no order.
+    let order = if kind == ElementKind::U8 { '|' } else { '<' };
     let mut header = format!(
-        "{{'descr': '<f4', 'fortran_order': False, 'shape': ({}{}), }}",
+        "{{'descr': '{order}{kind}', 'fortran_order': False, 'shape': ({}{}), }}",
         sizes.join(", "),
         // A tuple of one needs it.
         if shape.len() == 1 { "," } else { "" }

@@ -6,6 +6,7 @@ use clap::Args;
 use perceptile::domain::{Domain, DomainSpec};
 use perceptile::format::sidecar::Sidecar;
 use perceptile::run::output::OutputFiles;
+use perceptile::tile::TileShape;
 
 use super::candidates::{self, Candidate};
 use super::exit::{Failure, Misuse};
@@ -42,7 +43,13 @@ impl DomainArgs {
     ) -> Result<Domain, Failure> {
         let domain = match &self.domain {
             Some(spec) => spec.resolve()?,
-            None => of_sidecar(first, candidates)?,
+            None => {
+                let candidate = candidates.iter().find(|it| it.path.as_deref() == Some(first));
+                match candidate {
+                    Some(candidate) => of_tile(first, candidate.tile.shape())?,
+                    None => Domain::Square,
+                }
+            }
         };
         for candidate in &mut *candidates {
             let adopted = domain.adopt(&candidate.tile);
@@ -76,12 +83,14 @@ impl DomainArgs {
 }
 
 /// The domain that a tile was made for, as its sidecar says; the square, if there is none.
-fn of_sidecar(tile: &Path, candidates: &[Candidate]) -> Result<Domain, Failure> {
+///
+/// # Errors
+/// A density that is not where the sidecar says, or is another one.
+pub fn of_tile(tile: &Path, shape: TileShape) -> Result<Domain, Failure> {
     let sidecar = || {
-        let candidate = candidates.iter().find(|it| it.path.as_deref() == Some(tile))?;
         let path = Sidecar::find(tile)?;
         let sidecar = Sidecar::read(&path).ok()?;
-        sidecar.describes(tile, candidate.tile.shape()).then_some((path, sidecar))
+        sidecar.describes(tile, shape).then_some((path, sidecar))
     };
     let Some((path, sidecar)) = sidecar() else { return Ok(Domain::Square) };
     let of = |pointer: &str| sidecar.options.pointer(pointer).and_then(|value| value.as_str());

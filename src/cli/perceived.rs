@@ -69,11 +69,16 @@ impl PerceivedArgs {
             let spec = self.viewing.perceived(shape)?;
             return Ok(PerceivedKernel { spec, origin: format!("from {}", self.viewing.typed()) });
         }
-        Ok(of_sidecar(first, shape).unwrap_or_else(|origin| PerceivedKernel {
-            spec: DEFAULT.parse().expect("a valid kernel"),
-            origin,
-        }))
+        Ok(of_tile(first, shape))
     }
+}
+
+/// The kernel that a tile was made for, or the default.
+pub fn of_tile(tile: &Path, shape: TileShape) -> PerceivedKernel {
+    of_sidecar(tile, shape).unwrap_or_else(|origin| PerceivedKernel {
+        spec: DEFAULT.parse().expect("a valid kernel"),
+        origin,
+    })
 }
 
 /// The kernel that a tile was made for, whole; otherwise what people read of the default's origin.

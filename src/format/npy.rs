@@ -5,6 +5,7 @@ use std::io::{self, Read, Write};
 use thiserror::Error;
 
 use super::numbers::{ArraySource, NumberSink, NumberWriter};
+use super::png::Depth;
 use crate::array::{self, ArrayError, ArrayHeader, ElementKind};
 use crate::tile::{ShapeError, Tile, TileShape, clamp_coordinate};
 
@@ -94,6 +95,36 @@ pub fn write_pieces(
         }
         None => Ok(()),
     }
+}
+
+/// Writes a tile as unsigned integers of 8 or 16 bits, little-endian, of the same shape: the levels of its
+/// coordinates.
+///
+/// # Errors
+/// What `out` reports.
+pub fn write_levels(tile: &Tile, depth: Depth, out: &mut (impl Write + ?Sized)) -> io::Result<()> {
+    /// Coordinates that are written at a time.
+    const BLOCK: usize = 1 << 15;
+    let shape = tile.shape();
+    let axes = [shape.frames(), shape.height(), shape.width(), shape.spp(), shape.dims()];
+    let kind = match depth {
+        Depth::Eight => ElementKind::U8,
+        Depth::Sixteen => ElementKind::U16,
+    };
+    array::write_header_of(kind, &axes, out)?;
+    for block in tile.samples().chunks(BLOCK) {
+        let levels = block.iter().map(|&x| depth.quantize(x).to_le_bytes());
+        let bytes: Vec<u8> =
+            levels.flat_map(|level| level.into_iter().take(depth.bytes())).collect();
+        out.write_all(&bytes)?;
+    }
+    Ok(())
+}
+
+/// Whether a `.npy` file has integers, which are levels of coordinates.
+pub(super) fn has_levels(mut input: impl Read, bytes: u64) -> bool {
+    let header = ArrayHeader::read(&mut input, bytes);
+    header.is_ok_and(|it| matches!(it.kind(), ElementKind::U8 | ElementKind::U16))
 }
 
 /// Reads a tile: one of ours exactly, or a foreign one.

@@ -128,18 +128,19 @@ impl Sidecar {
         let Some(stem) = sidecar.file_stem().and_then(|stem| stem.to_str()) else {
             return false;
         };
-        let (slices, strip) = (format!("{stem}_f"), format!("{stem}.png"));
-        let is_picture = |name: &str| name == strip || name.starts_with(&slices);
+        let slices = format!("{stem}_f");
+        let strips = ["png", "exr"].map(|extension| format!("{stem}.{extension}"));
+        let is_picture =
+            |name: &str| name.starts_with(&slices) || strips.iter().any(|strip| name == strip);
         let entries = fs::read_dir(write::folder_of(sidecar)).into_iter().flatten().flatten();
         entries.into_iter().any(|entry| entry.file_name().to_str().is_some_and(is_picture))
     }
 
     /// Whether this is the sidecar of the tile of this shape that was read from a path. A `.npy` file
-    /// has the digest; pictures are rounded, so of them only the shape is compared.
+    /// of floats has the digest; other files are exports, so of them only the shape is compared.
     pub fn describes(&self, path: &Path, shape: TileShape) -> bool {
-        let png = |path: &Path| path.extension().is_some_and(|it| it.eq_ignore_ascii_case("png"));
         let sides = |shape: TileShape| [shape.width(), shape.height(), shape.frames()];
-        if path.is_dir() || png(path) {
+        if is_export(path) {
             sides(self.shape) == sides(shape)
         } else {
             file_digest(path).is_ok_and(|digest| digest == self.sha256)
@@ -196,6 +197,17 @@ impl Sidecar {
             writeln!(out)
         })
     }
+}
+
+/// Whether what lies at a path is an export of a tile, and not the tile itself.
+fn is_export(path: &Path) -> bool {
+    let is_npy = path.extension().is_some_and(|it| it.eq_ignore_ascii_case("npy"));
+    let levels = || {
+        let file = File::open(path)?;
+        let bytes = file.metadata()?.len();
+        Ok::<bool, io::Error>(npy::has_levels(file, bytes))
+    };
+    path.is_dir() || !is_npy || levels().unwrap_or(false)
 }
 
 /// The SHA-256 of a tile's `.npy` file (see [`npy::write_tile`]), as 64 hexadecimal digits.

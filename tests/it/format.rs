@@ -1,4 +1,4 @@
-//! Tiles through files and back, and files that were made to do harm.
+//! Tiles through files and back.
 
 use std::fs;
 use std::io::Cursor;
@@ -7,8 +7,8 @@ use std::path::{Path, PathBuf};
 use perceptile::domain::Domain;
 use perceptile::format::npy;
 use perceptile::format::png::{self, Depth, PixelFormat, Raster};
-use perceptile::format::sidecar::{self, Sidecar};
-use perceptile::format::slices::{SliceOptions, slice_paths, write_slices};
+use perceptile::format::sidecar;
+use perceptile::format::slices::{Picture, SliceOptions, Stack, slice_paths, write_slices};
 use perceptile::format::source::{SourceError, TileSource};
 use perceptile::format::write::{self, Existing, WriteError};
 use perceptile::kernel::KernelSpec;
@@ -16,24 +16,24 @@ use perceptile::preview::Preview;
 use perceptile::tile::{BELOW_ONE, Tile, TileShape};
 use proptest::prelude::*;
 
-fn shape(width: usize, height: usize, frames: usize, spp: usize, dims: usize) -> TileShape {
+pub fn shape(width: usize, height: usize, frames: usize, spp: usize, dims: usize) -> TileShape {
     TileShape::new(width, height, frames, spp, dims).unwrap()
 }
 
 /// A tile whose coordinates all differ, spread over the interval without order.
-fn scattered(shape: TileShape) -> Tile {
+pub fn scattered(shape: TileShape) -> Tile {
     let count = shape.coordinates();
     let golden = |i: usize| ((i as f64 + 0.5) * 0.618_033_988_749_895).fract() as f32;
     Tile::new(shape, (0..count).map(golden).collect()).unwrap()
 }
 
-fn npy_bytes(tile: &Tile) -> Vec<u8> {
+pub fn npy_bytes(tile: &Tile) -> Vec<u8> {
     let mut bytes = Vec::new();
     npy::write_tile(tile, &mut bytes).unwrap();
     bytes
 }
 
-fn bits(tile: &Tile) -> Vec<u32> {
+pub fn bits(tile: &Tile) -> Vec<u32> {
     tile.samples().iter().map(|x| x.to_bits()).collect()
 }
 
@@ -52,7 +52,7 @@ fn tiles() -> impl Strategy<Value = Tile> {
 }
 
 /// The tile after every coordinate went to the middle of its bin.
-fn quantized(tile: &Tile, levels: f64) -> Tile {
+pub fn quantized(tile: &Tile, levels: f64) -> Tile {
     let middle = |&x: &f32| (((f64::from(x) * levels).floor() + 0.5) / levels) as f32;
     Tile::new(tile.shape(), tile.samples().iter().map(middle).collect()).unwrap()
 }
@@ -88,7 +88,9 @@ proptest! {
         let shape = tile.shape();
         let folder = tempfile::tempdir().unwrap();
         let (depth, levels) = if sixteen { (Depth::Sixteen, 65536.0) } else { (Depth::Eight, 256.0) };
-        let options = SliceOptions { depth, strip };
+        let stack = if strip { Stack::Strip } else { Stack::Files };
+        let options =
+            SliceOptions { picture: Picture::Png(depth), stack, ..SliceOptions::default() };
         let paths = write_slices(&tile, options, folder.path(), "t_8x8", Existing::Keep).unwrap();
         prop_assert_eq!(&paths, &slice_paths(shape, options, folder.path(), "t_8x8"));
         let parts = if shape.dims() > 4 { shape.dims().div_ceil(2) } else { 1 } * shape.spp();
@@ -278,7 +280,13 @@ fn channels_are_chosen_or_the_colours_that_say_something() {
             tile.samples().iter().map(|x| (x * 256.0).floor() as i32).collect::<Vec<_>>()
         })
     };
+    // Alpha that says something counts, and all before it.
+    assert_eq!(read("").unwrap(), [10, 20, 0, 40, 11, 21, 0, 41]);
+    raster.levels = vec![10, 20, 0, 255, 11, 21, 0, 255];
+    write::write(&path, Existing::Replace, |out| png::encode(&raster, out)).unwrap();
     assert_eq!(read("").unwrap(), [10, 20, 11, 21]);
+    raster.levels = vec![10, 20, 0, 40, 11, 21, 0, 41];
+    write::write(&path, Existing::Replace, |out| png::encode(&raster, out)).unwrap();
     assert_eq!(read("rgb").unwrap(), [10, 20, 0, 11, 21, 0]);
     assert_eq!(read("ag").unwrap(), [40, 20, 41, 21]);
     raster.layout = PixelFormat::Gray;
@@ -307,7 +315,8 @@ fn an_export_of_many_samples_and_dimensions_is_read_without_being_told() {
     for (spp, dims) in [(1, 1), (1, 2), (1, 3), (4, 1), (3, 2), (1, 5), (2, 6), (2, 16)] {
         let tile = scattered(shape(5, 4, 3, spp, dims));
         let folder = tempfile::tempdir().unwrap();
-        let options = SliceOptions { depth: Depth::Sixteen, strip: false };
+        let options =
+            SliceOptions { picture: Picture::Png(Depth::Sixteen), ..SliceOptions::default() };
         let paths = write_slices(&tile, options, folder.path(), "t", Existing::Keep).unwrap();
         let name = paths[0].file_name().unwrap().to_str().unwrap();
         let plain = spp == 1 && dims <= 4;
@@ -331,8 +340,8 @@ fn an_export_of_many_samples_and_dimensions_is_read_without_being_told() {
 #[test]
 fn slices_of_two_tiles_never_lie_in_one_folder() {
     let tile = |frames, spp| scattered(shape(4, 3, frames, spp, 2));
-    let slices = SliceOptions { depth: Depth::Eight, strip: false };
-    let strips = SliceOptions { strip: true, ..slices };
+    let slices = SliceOptions::default();
+    let strips = SliceOptions { stack: Stack::Strip, ..slices };
     // What an export finds of an earlier one: other frames, other samples, another name, another
     // form. And the strips that may stay beside other strips.
     for (old, new, apart) in [
@@ -373,7 +382,7 @@ fn slices_of_two_tiles_never_lie_in_one_folder() {
         let mut expected = [notes, after, if apart { before } else { Vec::new() }].concat();
         expected.sort();
         assert!(content().iter().map(|(path, _)| path).eq(&expected), "{expected:?}");
-        if !new.2.strip {
+        if new.2.stack == Stack::Files {
             let back = TileSource::new(folder.path()).read().unwrap();
             assert_eq!(bits(&back), bits(&quantized(&new.0, 256.0)));
         }
@@ -388,7 +397,7 @@ fn an_export_removes_no_picture_of_somebody_else() {
         let at = |name: &str| folder.path().join(name);
         if name == "link.png" {
             fs::create_dir(at("away")).unwrap();
-            let options = SliceOptions { depth: Depth::Eight, strip: true };
+            let options = SliceOptions { stack: Stack::Strip, ..SliceOptions::default() };
             write_slices(&tile, options, &at("away"), "ours", Existing::Keep).unwrap();
             #[cfg(unix)]
             std::os::unix::fs::symlink("away/ours.png", at(name)).unwrap();
@@ -397,7 +406,7 @@ fn an_export_removes_no_picture_of_somebody_else() {
         } else {
             save(&at(name), &gray(4, 3, 0));
         }
-        let options = SliceOptions { depth: Depth::Eight, strip: false };
+        let options = SliceOptions::default();
         for existing in [Existing::Keep, Existing::Replace] {
             let error = write_slices(&tile, options, folder.path(), "t", existing).unwrap_err();
             assert!(error.to_string().contains(name), "{error}");
@@ -495,206 +504,4 @@ fn the_digest_is_that_of_the_file() {
         sidecar::digest(&tile),
         "7365d50216eb5b4671c5378376f9c8bb9937ab755b825f0da66d051d688e2029"
     );
-}
-
-/// What an attacker does to a file.
-#[derive(Debug, Clone)]
-enum Damage {
-    Flip(prop::sample::Index, u8),
-    Cut(prop::sample::Index),
-    Insert(prop::sample::Index, Vec<u8>),
-    /// Replaces one of the texts that readers trust.
-    Word(prop::sample::Index, &'static str),
-}
-
-fn damages(words: &'static [&'static str]) -> impl Strategy<Value = Vec<Damage>> {
-    let damage = prop_oneof![
-        4 => (any::<prop::sample::Index>(), 1_u8..).prop_map(|(i, x)| Damage::Flip(i, x)),
-        1 => any::<prop::sample::Index>().prop_map(Damage::Cut),
-        1 => (any::<prop::sample::Index>(), prop::collection::vec(any::<u8>(), 1..9))
-            .prop_map(|(i, bytes)| Damage::Insert(i, bytes)),
-        3 => (any::<prop::sample::Index>(), prop::sample::select(words))
-            .prop_map(|(i, word)| Damage::Word(i, word)),
-    ];
-    prop::collection::vec(damage, 1..4)
-}
-
-/// Applies `damages`; words replace a run of letters or digits in the first 200 bytes.
-fn damaged(mut bytes: Vec<u8>, damages: &[Damage]) -> Vec<u8> {
-    for damage in damages {
-        if bytes.is_empty() {
-            break;
-        }
-        match damage {
-            Damage::Flip(at, mask) => {
-                let at = at.index(bytes.len());
-                bytes[at] ^= mask;
-            }
-            Damage::Cut(at) => bytes.truncate(at.index(bytes.len())),
-            Damage::Insert(at, new) => {
-                let at = at.index(bytes.len());
-                bytes.splice(at..at, new.iter().copied());
-            }
-            Damage::Word(at, word) => {
-                let start = at.index(bytes.len().min(200));
-                let run = |c: &&u8| c.is_ascii_alphanumeric();
-                let before = bytes[..start].iter().rev().take_while(run).count();
-                let after = bytes[start..].iter().take_while(run).count();
-                bytes.splice(start - before..start + after, word.bytes());
-            }
-        }
-    }
-    bytes
-}
-
-const NPY_WORDS: &[&str] = &[
-    "0",
-    "-1",
-    "7",
-    "4294967296",
-    "9223372036854775807",
-    "18446744073709551615",
-    "99999999999999999999999",
-    "1e9",
-    "f2",
-    "f8",
-    "u2",
-    "i4",
-    "O",
-    "True",
-    "None",
-    "shape",
-    "descr",
-    "((((((((",
-    "NUMPY",
-    "",
-];
-
-const JSON_WORDS: &[&str] = &[
-    "0",
-    "-1",
-    "1e999",
-    "18446744073709551616",
-    "null",
-    "true",
-    "NaN",
-    "{}",
-    "[[[[",
-    "format",
-    "shape",
-    "\\u0000",
-    "\\ud800",
-    "\"",
-    "",
-];
-
-/// Arrays of random numbers for the header, short data behind it.
-fn npy_headers() -> impl Strategy<Value = Vec<u8>> {
-    let size = prop_oneof![0_u64..5, any::<u64>(), Just(1 << 20), Just(1 << 32)];
-    let descr = prop::sample::select(&["<f4", ">f8", "|u1", "<u2", "<f2", "|O", "<f99"][..]);
-    (
-        prop::collection::vec(size, 0..7),
-        descr,
-        any::<bool>(),
-        prop::collection::vec(any::<u8>(), 0..99),
-    )
-        .prop_map(|(shape, descr, fortran, data)| {
-            let order = if fortran { "True" } else { "False" };
-            let header =
-                format!("{{'descr': '{descr}', 'fortran_order': {order}, 'shape': {shape:?}, }}\n")
-                    .replace('[', "(")
-                    .replace(']', ")");
-            let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
-            bytes.extend((header.len() as u16).to_le_bytes());
-            bytes.extend(header.as_bytes());
-            bytes.extend(data);
-            bytes
-        })
-}
-
-proptest! {
-    #![proptest_config(ProptestConfig::with_cases(4000))]
-
-    #[test]
-    fn no_npy_bytes_do_harm(
-        damage in damages(NPY_WORDS),
-        header in npy_headers(),
-        noise in prop::collection::vec(any::<u8>(), 0..80),
-        spp in prop::option::of(prop_oneof![0_usize..5, any::<usize>()]),
-    ) {
-        let valid = npy_bytes(&scattered(shape(3, 4, 2, 1, 2)));
-        let lead = [b"\x93NUMPY\x01\x00", &noise[..]].concat();
-        for bytes in [damaged(valid, &damage), damaged(header.clone(), &damage), header, noise, lead] {
-            if let Ok(tile) = npy::read_tile(&bytes[..], bytes.len() as u64, spp) {
-                prop_assert!(tile.samples().len() <= bytes.len());
-                prop_assert!(tile.samples().iter().all(|x| (0.0..1.0).contains(x)));
-            }
-        }
-    }
-
-    #[test]
-    fn no_json_bytes_do_harm(damage in damages(JSON_WORDS), noise in ".{0,60}") {
-        let tile = scattered(shape(3, 4, 2, 1, 2));
-        let valid = serde_json::json!({
-            "format": 1, "program": "perceptile", "version": "0.1.0", "command": "perceptile",
-            "kernel": "none", "seed": 1, "shape": tile.shape(), "options": {"steps": [1, 2.5]},
-            "created": "1970-01-01T00:00:00Z", "seconds": 0.5, "sha256": sidecar::digest(&tile),
-            "scores": null,
-        });
-        let valid = valid.to_string().into_bytes();
-        prop_assert!(Sidecar::parse(&valid).is_ok());
-        let _ = Sidecar::parse(&damaged(valid, &damage));
-        let _ = Sidecar::parse(noise.as_bytes());
-    }
-
-    #[test]
-    fn no_png_bytes_do_harm(
-        damage in damages(&["IDAT", "IEND", "PLTE", "tRNS", "acTL", "fcTL", "fdAT", "zTXt", "IHDR"]),
-        header in prop::collection::vec(any::<u8>(), 13),
-        noise in prop::collection::vec(any::<u8>(), 0..80),
-    ) {
-        let raster = Raster {
-            width: 4,
-            height: 4,
-            layout: PixelFormat::Rgb,
-            depth: Depth::Sixteen,
-            levels: (0..48).map(|i| i * 1365).collect(),
-        };
-        let mut valid = Vec::new();
-        png::encode(&raster, &mut valid).unwrap();
-        // The header's numbers: size, depth, colour, compression, filter, interlace.
-        let mut lying = valid.clone();
-        for (byte, new) in lying[16..29].iter_mut().zip(&header) {
-            *byte = if new % 3 == 0 { new / 3 } else { *byte };
-        }
-        let lead = [&png::SIGNATURE[..], &noise[..]].concat();
-        for mut bytes in [damaged(valid.clone(), &damage), lying, lead, noise] {
-            for checked in [false, true] {
-                if checked {
-                    correct_checksums(&mut bytes);
-                }
-                if let Ok(raster) = png::decode(Cursor::new(&bytes), bytes.len() as u64) {
-                    prop_assert!(raster.levels.len() <= 8 * 1100 * (bytes.len() + 1));
-                }
-            }
-        }
-    }
-}
-
-/// Makes the checksum of every chunk right, so that the decoder looks at what is inside.
-fn correct_checksums(bytes: &mut [u8]) {
-    let mut at = 8;
-    while let Some(head) = bytes.get(at..at + 4) {
-        let length = u32::from_be_bytes(head.try_into().unwrap()) as usize;
-        let Some(end) = at.checked_add(8 + length).filter(|end| end + 4 <= bytes.len()) else {
-            break;
-        };
-        let crc = !bytes[at + 4..end].iter().fold(u32::MAX, |crc, &byte| {
-            (0..8).fold(crc ^ u32::from(byte), |crc, _| {
-                (crc >> 1) ^ (0xedb8_8320 & (crc & 1).wrapping_neg())
-            })
-        });
-        bytes[end..end + 4].copy_from_slice(&crc.to_be_bytes());
-        at = end + 4;
-    }
 }

@@ -9,10 +9,12 @@ mod determinism;
 mod docs;
 #[cfg(target_os = "linux")]
 mod domain;
+mod export;
 #[cfg(target_os = "linux")]
 mod failures;
 mod format;
 mod gradient;
+mod hostile;
 #[cfg(target_os = "linux")]
 mod launcher;
 #[cfg(target_os = "linux")]
