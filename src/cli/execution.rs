@@ -3,11 +3,11 @@
 
 use clap::{Args, ValueEnum};
 use perceptile::gradient::simd::Simd;
+use perceptile::settings::whole;
 use perceptile::solver::Parallelism;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use super::exit::Misuse;
-use super::number::whole;
 
 /// Most threads; systems refuse far more of them, some only after having made thousands.
 const MAX_THREADS: usize = 1024;

@@ -17,13 +17,13 @@ use perceptile::kernel::{Factor, KernelSpec, Viewing};
 use perceptile::select::{
     Candidates, Continuation, Filters, Norm, SelectOptions, SelectParallelism, SelectPlan,
 };
+use perceptile::settings::whole;
 use perceptile::tile::TileShape;
 use perceptile_cluster::communicator::Communicator;
 
 use super::display::Shown;
 use super::execution::ExecutionArgs;
 use super::exit::{Failure, Misuse};
-use super::number::whole;
 use super::workers::WorkersArgs;
 use inputs::Inputs;
 use outputs::Outputs;
