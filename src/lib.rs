@@ -91,6 +91,8 @@ pub mod run;
 #[cfg_attr(not(internals), doc(hidden))]
 pub mod select;
 #[cfg_attr(not(internals), doc(hidden))]
+pub mod settings;
+#[cfg_attr(not(internals), doc(hidden))]
 pub mod solver;
 #[cfg_attr(not(internals), doc(hidden))]
 pub mod tile;

@@ -7,10 +7,10 @@ use indicatif::{ProgressBar, ProgressStyle};
 use perceptile::domain::Domain;
 use perceptile::kernel::{KernelSpec, KernelTaps};
 use perceptile::metric::{Baseline, ScoreOptions, ScoredTile};
+use perceptile::settings::whole;
 use perceptile::tile::{Tile, TileShape};
 
 use super::exit::{Failure, Misuse};
-use super::number::whole;
 use super::source::{self, SourceArgs};
 
 /// Seed of the comparison tiles.

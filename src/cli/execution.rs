@@ -3,14 +3,12 @@
 
 use clap::{Args, ValueEnum};
 use perceptile::gradient::simd::Simd;
+use perceptile::settings::whole;
 use perceptile::solver::Parallelism;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use super::exit::Misuse;
-use super::number::whole;
 
-/// Most threads; systems refuse far more of them, some only after having made thousands.
-const MAX_THREADS: usize = 1024;
 /// Most worker processes.
 const MAX_WORKERS: usize = 1024;
 /// Most threads of all workers: each needs blocks and a journal.
@@ -51,7 +49,7 @@ impl ExecutionArgs {
     /// If there are too many of them, or of all workers together.
     pub fn threads(&self) -> Result<usize, Misuse> {
         check(self.workers, "workers", MAX_WORKERS)?;
-        check(self.threads, "threads", MAX_THREADS)?;
+        check(self.threads, "threads", Parallelism::MAX_THREADS)?;
         let workers = self.workers.max(1);
         let threads = match self.threads {
             0 => (std::thread::available_parallelism().map_or(1, usize::from) / workers).max(1),

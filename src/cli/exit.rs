@@ -30,6 +30,7 @@ use perceptile::run::memory::MemoryError;
 use perceptile::select::SelectError;
 #[cfg(unix)]
 use perceptile::select::workers::CrewError;
+use perceptile::settings::SettingsError;
 use perceptile::solver::OptionsError;
 use perceptile::tile::ShapeError;
 use perceptile_cluster::shared::MapError;
@@ -141,6 +142,11 @@ exits! {
     OptionsError { Self::Kernel(error) => error.exit(), _ => Exit::Misuse }
     KernelError {
         Self { problem: ResolveProblem::Table(_), .. } => Exit::Failed,
+        _ => Exit::Misuse,
+    }
+    SettingsError {
+        Self::Domain(error) => error.exit(),
+        Self::Options(error) => error.exit(),
         _ => Exit::Misuse,
     }
     ScoreError { _ => Exit::Misuse }

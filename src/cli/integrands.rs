@@ -2,8 +2,7 @@
 
 use clap::Args;
 use perceptile::metric::ScoreOptions;
-
-use super::number::whole;
+use perceptile::settings::whole;
 
 /// Which integrands, and how many.
 #[derive(Debug, Clone, Copy, Args)]

@@ -5,13 +5,12 @@ use std::path::PathBuf;
 use perceptile::format::picture::Image;
 use perceptile::format::write::Existing;
 use perceptile::kernel::{Dropped, KernelClass, KernelSpec, ResolveProblem, Tap, picture};
+use perceptile::settings::{TileSize, ViewingSettings};
 use perceptile::solver::Preset;
 use serde::Serialize;
 
 use super::exit::Failure;
-use super::settings::TileSize;
 use super::stream::{print, show};
-use super::viewing::ViewingArgs;
 
 /// Taps listed per class without `--all`.
 const LISTED: usize = 20;
@@ -42,7 +41,7 @@ pub struct KernelArgs {
     pub spec: Option<KernelSpec>,
 
     #[command(flatten)]
-    pub viewing: ViewingArgs,
+    pub viewing: ViewingSettings,
 
     /// Size of the tile that the kernel is for; column and frame need it, and in it a longer kernel
     /// wraps in time

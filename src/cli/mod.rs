@@ -15,11 +15,9 @@ mod export;
 mod integrands;
 mod kernel;
 mod man;
-mod number;
 mod optimize;
 mod perceived;
 mod prepared;
-mod preset;
 mod presets;
 mod profile;
 mod progress;
@@ -32,7 +30,6 @@ mod settings;
 mod source;
 mod stream;
 mod summary;
-mod viewing;
 mod workers;
 
 use std::ffi::OsString;
@@ -154,14 +151,4 @@ fn run(
         #[cfg(not(unix))]
         Command::Worker | Command::SelectWorker => Err(execution::no_workers().into()),
     }
-}
-
-/// Words as one line for a shell.
-fn line(words: impl Iterator<Item = String>) -> String {
-    let quote = |word: String| {
-        let plain = |c: char| c.is_ascii_alphanumeric() || "-_./".contains(c);
-        let bare = !word.is_empty() && word.chars().all(plain);
-        if bare { word } else { format!("'{}'", word.replace('\'', r"'\''")) }
-    };
-    words.map(quote).collect::<Vec<String>>().join(" ")
 }

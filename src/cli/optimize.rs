@@ -23,7 +23,7 @@ use super::domain::check_density;
 use super::exit::{Failure, Misuse};
 use super::prepared::{self, Files, Invocation, PreparedRun};
 use super::run::{RunArgs, check_folder};
-use super::settings::Settings;
+use super::settings::SettingsArgs;
 use super::stream::print;
 use super::{execution, summary};
 
@@ -50,7 +50,7 @@ Examples:
 #[command(after_help = EXAMPLES)]
 pub struct OptimizeArgs {
     #[command(flatten)]
-    settings: Settings,
+    settings: SettingsArgs,
 
     /// Where the tile goes; NAME.json and NAME.png go beside it
     #[arg(long, value_name = "NPY", default_value = "tile.npy", help_heading = "Files")]
@@ -86,7 +86,8 @@ impl OptimizeArgs {
     /// # Errors
     /// Settings that no run can have.
     pub fn effective(&self) -> Result<serde_json::Map<String, serde_json::Value>, Failure> {
-        Ok(self.settings.effective(&self.settings.options()?.0))
+        let settings = &self.settings.settings;
+        Ok(settings.effective(&settings.options()?.0))
     }
 }
 
@@ -100,7 +101,7 @@ pub fn run(args: &OptimizeArgs, communicator: &Arc<dyn Communicator>) -> Result<
 
 /// Gets the run ready, or says what it would do.
 fn prepare(args: &OptimizeArgs, ranks: usize) -> Result<Option<PreparedRun>, Failure> {
-    let settings = args.settings.clone();
+    let settings = args.settings.settings.clone();
     let (options, start) = settings.options()?;
     let plan = Plan::new(&options, args.run.parallelism(ranks)?)?;
     if args.integrands > 0 {

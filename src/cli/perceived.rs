@@ -7,11 +7,11 @@ use std::path::Path;
 use clap::Args;
 use perceptile::format::sidecar::Sidecar;
 use perceptile::kernel::KernelSpec;
+use perceptile::settings::{SettingsError, ViewingSettings};
 use perceptile::tile::TileShape;
 
 use super::candidates::Candidate;
 use super::exit::{Failure, Misuse};
-use super::viewing::ViewingArgs;
 
 /// The kernel through which error is seen if nothing says another.
 const DEFAULT: &str = "gaussian(2.1) * fovvideovdp(60) @ 7x7x8";
@@ -27,7 +27,7 @@ pub struct PerceivedArgs {
     kernel: Option<KernelSpec>,
 
     #[command(flatten)]
-    viewing: ViewingArgs,
+    viewing: ViewingSettings,
 }
 
 /// A kernel through which error is seen.
@@ -44,7 +44,7 @@ impl PerceivedArgs {
     ///
     /// # Errors
     /// Flags that say the kernel twice.
-    pub fn check(&self) -> Result<(), Misuse> {
+    pub fn check(&self) -> Result<(), SettingsError> {
         self.viewing.refuse_beside(self.kernel.as_ref(), "--kernel")
     }
 

@@ -9,10 +9,10 @@ use perceptile::run::memory;
 use perceptile::run::output::OutputFiles;
 use perceptile::run::plan::Plan;
 use perceptile::run::start::InitialState;
+use perceptile::settings::Settings;
 use serde::{Deserialize, Serialize};
 
 use super::exit::Failure;
-use super::settings::Settings;
 
 /// What a run was asked for, as its checkpoints keep it.
 #[derive(Debug, Clone, Serialize, Deserialize)]

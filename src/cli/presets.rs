@@ -1,12 +1,11 @@
 //! `perceptile presets`: what the presets set.
 
 use clap::Args;
+use perceptile::settings::{Settings, purpose};
 use perceptile::solver::Preset;
 use serde_json::{Map, Value};
 
 use super::exit::Failure;
-use super::preset::purpose;
-use super::settings::Settings;
 use super::stream::show;
 
 /// Show what the presets set

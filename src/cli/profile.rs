@@ -27,7 +27,7 @@ use serde::Serialize;
 use super::execution::{self, ExecutionArgs};
 use super::exit::Failure;
 use super::prepared;
-use super::settings::Settings;
+use super::settings::SettingsArgs;
 use super::stream;
 use scaling::ScalingArgs;
 
@@ -72,7 +72,7 @@ pub struct ProfileArgs {
     execution: ExecutionArgs,
 
     #[command(flatten, next_help_heading = "Settings of the run, as in optimize")]
-    settings: Settings,
+    settings: SettingsArgs,
 }
 
 /// Most events of a trace: some ten megabytes.
@@ -83,9 +83,8 @@ const MOST_EVENTS: usize = 120_000;
 /// # Errors
 /// Wrong settings, outputs that exist or cannot be written, too little memory.
 pub fn run(args: &ProfileArgs) -> Result<(), Failure> {
-    let settings = args.settings.clone();
-    let nothing_set = settings == Settings::default();
-    let (mut options, _) = settings.options()?;
+    let nothing_set = args.settings == SettingsArgs::default();
+    let (mut options, _) = args.settings.settings.options()?;
     options.validate()?;
     // Only the descent is looked at, from a random start.
     options.polish.steps = 0;

@@ -9,6 +9,7 @@ use perceptile::kernel::KernelSpec;
 use perceptile::metric::{Baseline, ScoreOptions};
 use perceptile::report::{Report, ReportOptions};
 use perceptile::run::signals::Signals;
+use perceptile::settings::shell_line;
 
 use super::candidates::{self, PartsArgs, progress};
 use super::domain::DomainArgs;
@@ -156,7 +157,7 @@ impl ReportArgs {
         words.extend(self.domain.command_line(domain));
         words.extend(self.parts.command_line());
         words.extend(self.source.command_line());
-        super::line(words.into_iter())
+        shell_line(words.into_iter())
     }
 }
 

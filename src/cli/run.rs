@@ -3,12 +3,11 @@
 use std::path::Path;
 use std::process::ExitCode;
 use std::sync::Arc;
-use std::time::{Duration, Instant, SystemTime};
+use std::time::{Duration, Instant};
 
 use clap::Args;
 use perceptile::format::numbers::ArraySource;
-use perceptile::format::sidecar::{self, Sidecar};
-use perceptile::metric::{ScoreOptions, Scorer, Scores};
+use perceptile::metric::{ScoreOptions, Scorer};
 use perceptile::run::checkpointer::Every;
 use perceptile::run::driver::{self, Output, Parallel};
 use perceptile::run::error::RunError;
@@ -17,7 +16,7 @@ use perceptile::run::memory;
 use perceptile::run::observer::Observer;
 use perceptile::run::output::OutputFiles;
 use perceptile::run::plan::Plan;
-use perceptile::run::summary::ParallelSummary;
+use perceptile::settings::provenance;
 use perceptile::solver::{Options, Parallelism, StopReason};
 use perceptile::tile::Tile;
 use perceptile_cluster::communicator::Communicator;
@@ -158,7 +157,9 @@ impl RunArgs {
         let scores = tile.as_ref().map(score).transpose()?;
         let mut made = None;
         let provenance = |sha256| {
-            let sidecar = provenance(plan, &invocation, output, scores.as_ref(), seconds, sha256);
+            let Invocation { settings, .. } = &invocation;
+            let options = &plan.options;
+            let sidecar = provenance(settings, options, output, scores.as_ref(), seconds, sha256);
             made.insert(sidecar).clone()
         };
         let whole = tile.as_ref().map_or(output as &dyn ArraySource, |tile| tile);
@@ -247,44 +248,5 @@ pub fn check_folder(outputs: &OutputFiles, folder: &Path) -> Result<(), Misuse> 
             file.display()
         ))),
         None => Ok(()),
-    }
-}
-
-/// Where a tile comes from.
-fn provenance(
-    plan: &Plan,
-    invocation: &Invocation,
-    output: &Output,
-    scores: Option<&Scores>,
-    seconds: f64,
-    sha256: String,
-) -> Sidecar {
-    let (options, summary) = (&plan.options, &output.summary);
-    // The command that makes the same tile again.
-    let mut settings = invocation.settings.clone();
-    if summary.reason != StopReason::Completed {
-        settings.stop_after = Some(summary.steps);
-    }
-    let words = ["perceptile".into(), "optimize".into()].into_iter();
-    let mut recorded = serde_json::json!({ "options": options, "summary": summary });
-    match &output.parallel {
-        ParallelSummary::Threads => (),
-        ParallelSummary::Workers(workers) => recorded["workers"] = serde_json::json!(workers),
-        ParallelSummary::Ranks(ranks) => recorded["ranks"] = serde_json::json!(ranks),
-    }
-    Sidecar {
-        format: sidecar::FORMAT,
-        program: env!("CARGO_PKG_NAME").into(),
-        version: env!("CARGO_PKG_VERSION").into(),
-        command: super::line(words.chain(settings.command_line())),
-        kernel: options.kernel.to_string(),
-        seed: options.seed,
-        shape: options.shape,
-        options: recorded,
-        created: sidecar::utc(SystemTime::now()),
-        seconds,
-        sha256,
-        scores: serde_json::json!(scores),
-        convergence: summary.convergence.clone(),
     }
 }

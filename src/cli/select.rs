@@ -17,13 +17,12 @@ use perceptile::kernel::{Factor, KernelSpec, Viewing};
 use perceptile::select::{
     Candidates, Continuation, Filters, Norm, SelectOptions, SelectParallelism, SelectPlan,
 };
-use perceptile::tile::TileShape;
+use perceptile::settings::whole;
 use perceptile_cluster::communicator::Communicator;
 
 use super::display::Shown;
 use super::execution::ExecutionArgs;
 use super::exit::{Failure, Misuse};
-use super::number::whole;
 use super::workers::WorkersArgs;
 use inputs::Inputs;
 use outputs::Outputs;
@@ -34,13 +33,6 @@ Examples:
   perceptile select --subsets --guide denoised/x.####.exr --taa 0.1 --out best/x.####.exr \\
       --candidates a/x.####.exr b/x.####.exr c/x.####.exr d/x.####.exr
   perceptile select --levels 64 --reference x.####.exr --out dithered/x.####.png";
-
-/// λ with a guide, whose own error should not be followed to the end.
-const GUIDED: Continuation = Continuation { from: 0.2, to: 0.01 };
-/// λ among single renders or levels: what is least seen then is best for the eye as well.
-const SINGLE: Continuation = Continuation { from: 0.0, to: 0.0 };
-/// Where λ begins if only its end is given.
-const FROM: f64 = 0.2;
 
 /// Choose among candidate renders of an animation, for every pixel and frame
 ///
@@ -124,7 +116,7 @@ pub struct SelectArgs {
 
     /// Weight of the unfiltered error in the first and in the last sweep, or in the last one alone
     /// [default: 0; with --subsets 0.01..0, with a guide 0.2..0.01]
-    #[arg(long, value_name = "FROM..TO", value_parser = continuation, help_heading = "Selection")]
+    #[arg(long, value_name = "FROM..TO", help_heading = "Selection")]
     continuation: Option<Continuation>,
 
     /// Where the result goes; its scores go beside it [default: selected.npy, selected.####.exr, or
@@ -214,12 +206,8 @@ impl SelectArgs {
             NormChoice::L1 => Norm::L1,
             NormChoice::L2 => Norm::L2,
         };
-        let default = match (&self.guide, self.subsets) {
-            (Some(_), _) => GUIDED,
-            (None, true) => Continuation::default(),
-            (None, false) => SINGLE,
-        };
-        let continuation = self.continuation.unwrap_or(default);
+        let suited = Continuation::suited(self.guide.is_some(), self.subsets);
+        let continuation = self.continuation.unwrap_or(suited);
         SelectOptions { norm, sweeps: self.sweeps, continuation }
     }
 
@@ -243,9 +231,7 @@ impl SelectArgs {
             taa: None,
             sigma: sigma.unwrap_or(default.sigma),
         };
-        // A picture has no period: the box is as large as the filter asks for.
-        let large = TileShape::new(1 << 10, 1 << 10, 1, 1, 1).expect("a shape");
-        viewing.perceived(large).map_err(|problem| Misuse(problem.to_string()))
+        viewing.of_pictures().map_err(|problem| Misuse(problem.to_string()))
     }
 }
 
@@ -269,35 +255,9 @@ fn alpha(text: &str) -> Result<f64, String> {
     }
 }
 
-/// Reads λ of the first and of the last sweep.
-fn continuation(text: &str) -> Result<Continuation, String> {
-    let number = |text: &str| {
-        let rule = || {
-            format!("{text:?} is no number; write FROM..TO, such as 0.2..0.03, or the end alone")
-        };
-        text.trim().parse::<f64>().map_err(|_| rule())
-    };
-    match text.split_once("..") {
-        Some((from, to)) => Ok(Continuation { from: number(from)?, to: number(to)? }),
-        None => {
-            let to = number(text)?;
-            Ok(Continuation { from: FROM.max(to), to })
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn the_continuation_is_a_range_or_its_end() {
-        let of = |from, to| Ok(Continuation { from, to });
-        assert_eq!(continuation("1..0.01"), of(1.0, 0.01));
-        assert_eq!(continuation("0.03"), of(0.2, 0.03));
-        assert_eq!(continuation("2"), of(2.0, 2.0));
-        assert!(continuation("a..1").unwrap_err().contains("\"a\" is no number"));
-    }
 
     #[test]
     fn the_renderers_filter_is_a_number_or_a_factor() {

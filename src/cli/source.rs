@@ -6,9 +6,8 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use perceptile::format::png::Channels;
 use perceptile::format::source::{SourceError, TileSource};
+use perceptile::settings::whole;
 use perceptile::tile::Tile;
-
-use super::number::whole;
 
 /// What the file of a tile may leave open.
 #[derive(Debug, Clone, Args)]

@@ -53,6 +53,14 @@ impl Viewing {
         KernelSpec::new(vec![ClassSpec::lone(kind)])
     }
 
+    /// The same for pictures, which have no period: its box is as large as the filter asks for.
+    ///
+    /// # Errors
+    /// A number outside its range.
+    pub fn of_pictures(&self) -> Result<KernelSpec, SpecProblem> {
+        self.perceived(TileShape::new(1 << 10, 1 << 10, 1, 1, 1).expect("a shape"))
+    }
+
     /// The mixture that a tile for this is made with: `perceived`, with a share of 0.06 on whole columns
     /// and 0.1 on half of them, which keeps the error of a still picture small while it accumulates.
     ///

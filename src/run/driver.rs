@@ -174,6 +174,9 @@ fn drive(plan: &Plan, mut backend: impl Backend, mut watch: Watch<'_>) -> Result
         }
         backend.advance(&mut watch)?;
     }
+    if watch.gives_up() {
+        return Err(RunError::GivenUp);
+    }
     watch.enter(Phase::Warp);
     let (storage, parallel) = backend.finish();
     let Options { warp, domain, shape, .. } = &plan.options;
@@ -188,4 +191,41 @@ fn drive(plan: &Plan, mut backend: impl Backend, mut watch: Watch<'_>) -> Result
         Summary { reason, steps, objective_before, objective_after, convergence, seconds };
     let (regions, gathered) = (plan.regions(communicator.rank()), Cell::new(false));
     Ok(Output { summary, parallel, communicator, regions, section, gathered })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::run::observer::Progress;
+    use crate::solver::{Preset, Start, StopReason};
+
+    /// Stops after so many steps, and wants nothing of the run then.
+    struct Impatient(u32);
+
+    impl Observer for Impatient {
+        fn progress(&mut self, _: Progress) {
+            self.0 = self.0.saturating_sub(1);
+        }
+
+        fn stop(&self) -> Option<StopReason> {
+            (self.0 == 0).then_some(StopReason::Interrupted)
+        }
+
+        fn gives_up(&self) -> bool {
+            true
+        }
+    }
+
+    #[test]
+    fn a_run_that_is_given_up_has_no_tile() {
+        let shape = TileShape::new(16, 16, 4, 2, 2).unwrap();
+        for start in [Start::Random, Start::Nested] {
+            let options = Preset::Quick.options().with_shape(shape).with_steps(20);
+            let options = Options { start, ..options };
+            let run = |steps| optimize(&options, None, Simd::detect(), &mut Impatient(steps));
+            assert!(matches!(run(3), Err(RunError::GivenUp)), "{start:?}");
+            // One that is over before is not given up.
+            assert!(run(u32::MAX).is_ok());
+        }
+    }
 }

@@ -24,6 +24,9 @@ pub enum RunError {
     /// The run was stopped while its start was made, so there is nothing to keep.
     #[error("the run was stopped while its start was made, so there is no tile yet")]
     Stopped,
+    /// The observer has given the run up.
+    #[error("the run was given up, so there is no tile")]
+    GivenUp,
     /// Another rank failed, which says how.
     #[error("another rank failed")]
     Elsewhere,

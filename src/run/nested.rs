@@ -103,6 +103,10 @@ impl Observer for AtStart<'_> {
     fn stop(&self) -> Option<StopReason> {
         self.observer.stop()
     }
+
+    fn gives_up(&self) -> bool {
+        self.observer.gives_up()
+    }
 }
 
 #[cfg(test)]

@@ -30,6 +30,12 @@ pub trait Observer {
     fn stop(&self) -> Option<StopReason> {
         None
     }
+
+    /// Whether nobody wants the tile of a run that ends early: then it ends at once, without one. Only
+    /// a run by the threads of this process is asked; workers and ranks make theirs together.
+    fn gives_up(&self) -> bool {
+        false
+    }
 }
 
 /// Observes nothing and never stops.

@@ -70,6 +70,11 @@ impl<'a> Watch<'a> {
         Decision { stop, checkpoint }
     }
 
+    /// Whether the run was stopped, and nobody wants its tile.
+    pub fn gives_up(&self) -> bool {
+        self.reason.is_some() && self.observer.gives_up()
+    }
+
     /// Remembers why the run was stopped, the first time.
     pub fn stops(&mut self, reason: StopReason) {
         self.reason.get_or_insert(reason);

@@ -1,5 +1,7 @@
 //! What can be chosen about a selection, and how it is checked.
 
+use std::str::FromStr;
+
 use serde::{Deserialize, Serialize};
 
 use super::SelectError;
@@ -31,6 +33,44 @@ pub struct Continuation {
 impl Default for Continuation {
     fn default() -> Self {
         Self { from: 0.01, to: 0.0 }
+    }
+}
+
+impl Continuation {
+    /// With a guide, whose own error should not be followed to the end.
+    const GUIDED: Self = Self { from: 0.2, to: 0.01 };
+    /// Among single renders or levels: what is least seen then is best for the eye as well.
+    const SINGLE: Self = Self { from: 0.0, to: 0.0 };
+    /// Where λ begins if only its end is given.
+    const FROM: f64 = 0.2;
+
+    /// What suits a guide, or the true picture, and candidates that are subsets of renders, or single.
+    pub fn suited(has_guide: bool, subsets: bool) -> Self {
+        match (has_guide, subsets) {
+            (true, _) => Self::GUIDED,
+            (false, true) => Self::default(),
+            (false, false) => Self::SINGLE,
+        }
+    }
+}
+
+/// `FROM..TO`, or the end alone.
+impl FromStr for Continuation {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let number = |text: &str| {
+            let rule = "write FROM..TO, such as 0.2..0.03, or the end alone";
+            let error = || format!("{text:?} is no number; {rule}");
+            text.trim().parse::<f64>().map_err(|_| error())
+        };
+        match text.split_once("..") {
+            Some((from, to)) => Ok(Self { from: number(from)?, to: number(to)? }),
+            None => {
+                let to = number(text)?;
+                Ok(Self { from: Self::FROM.max(to), to })
+            }
+        }
     }
 }
 
@@ -106,6 +146,16 @@ mod tests {
         assert_eq!(lambdas(3, 0.0, 0.0), [0.0; 3]);
         assert_eq!(lambdas(2, 1.0, 0.0), [1.0, 0.0]);
         assert_eq!(lambdas(3, 10.0, 0.0), [10.0, 0.003, 0.0]);
+    }
+
+    #[test]
+    fn the_continuation_is_a_range_or_its_end() {
+        let of = |from, to| Ok(Continuation { from, to });
+        assert_eq!("1..0.01".parse(), of(1.0, 0.01));
+        assert_eq!("0.03".parse(), of(0.2, 0.03));
+        assert_eq!("2".parse(), of(2.0, 2.0));
+        let error = "a..1".parse::<Continuation>().unwrap_err();
+        assert!(error.contains("\"a\" is no number"), "{error}");
     }
 
     #[test]

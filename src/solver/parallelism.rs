@@ -21,6 +21,9 @@ pub struct Parallelism {
 }
 
 impl Parallelism {
+    /// Most threads of a process; systems refuse far more of them, some only after having made thousands.
+    pub const MAX_THREADS: usize = 1024;
+
     /// The threads of the current pool, in one process.
     pub fn threads() -> Self {
         Self { ranks: 1, workers: 0, threads: rayon::current_num_threads() }

@@ -1,13 +1,23 @@
 //! Presets as users name them, and what each is for.
 
+#[cfg(feature = "cli")]
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
-use perceptile::solver::Preset;
 
-/// Reads the name of a preset.
-pub fn name() -> impl TypedValueParser<Value = Preset> {
+use crate::solver::Preset;
+
+/// Reads the name of a preset for the command, which shows what each is for.
+#[cfg(feature = "cli")]
+pub(super) fn name() -> impl TypedValueParser<Value = Preset> {
     let names = Preset::ALL.map(|(preset, name)| PossibleValue::new(name).help(purpose(preset)));
     let preset = |name: String| Preset::ALL.into_iter().find(|&(_, its)| its == name);
     PossibleValuesParser::new(names).map(move |name| preset(name).expect("one of the names").0)
+}
+
+/// Reads the name of a preset.
+pub(super) fn parse(name: &str) -> Result<Preset, String> {
+    let named = Preset::ALL.into_iter().find(|&(_, its)| its == name);
+    let names = || Preset::ALL.map(|(_, name)| name).join(", ");
+    named.map(|(preset, _)| preset).ok_or_else(|| format!("there are: {}", names()))
 }
 
 /// What a preset is for.

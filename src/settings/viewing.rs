@@ -1,56 +1,76 @@
-//! How the animation is watched, as flags: they stand for the kernel that follows from it.
+//! How the animation is watched, as settings: they stand for the kernel that follows from it.
 
-use clap::Args;
-use perceptile::kernel::{KernelSpec, SpecProblem, Viewing};
-use perceptile::tile::TileShape;
 use serde::{Deserialize, Serialize};
 
-use super::exit::Misuse;
+use super::error::SettingsError;
+use super::value::read;
+use crate::kernel::{KernelSpec, SpecProblem, Viewing};
+use crate::tile::TileShape;
 
 /// How the animation is watched. What is not given is the paper's: 60 frames per second, no temporal
 /// anti-aliasing, sigma 2.1.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Args, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "cli", derive(clap::Args))]
+#[cfg_attr(feature = "cli", command(next_help_heading = "Kernel"))]
 #[serde(rename_all = "kebab-case")]
-#[command(next_help_heading = "Kernel")]
-pub struct ViewingArgs {
+pub struct ViewingSettings {
     /// Frames per second of the display, above 4 [default: 60]
-    #[arg(long, value_name = "N")]
+    #[cfg_attr(feature = "cli", arg(long, value_name = "N"))]
     pub fps: Option<f64>,
 
     /// Weight of the newest frame in the renderer's temporal anti-aliasing (TAA), above 0 and at
     /// most 1, such as 0.1 [default: no TAA]
-    #[arg(long, value_name = "ALPHA")]
+    #[cfg_attr(feature = "cli", arg(long, value_name = "ALPHA"))]
     pub taa: Option<f64>,
 
     /// Standard deviation of the eye's spatial filter in pixels [default: 2.1]
-    #[arg(long, value_name = "PIXELS")]
+    #[cfg_attr(feature = "cli", arg(long, value_name = "PIXELS"))]
     pub sigma: Option<f64>,
 
     /// The same by display and distance: 45 pixels per degree (2560 pixels on 27 inches from 60 cm)
     /// make sigma 2.1
-    #[arg(long, value_name = "N")]
+    #[cfg_attr(feature = "cli", arg(long, value_name = "N"))]
     pub pixels_per_degree: Option<f64>,
 }
 
-impl ViewingArgs {
-    /// Whether any of the flags is given.
+impl ViewingSettings {
+    /// Their names.
+    pub(super) const NAMES: [&str; 4] = ["fps", "taa", "sigma", "pixels_per_degree"];
+
+    /// Sets one of [`Self::NAMES`] from text; nothing, if it has another name.
+    pub(super) fn set_text(&mut self, name: &str, text: &str) -> Result<bool, SettingsError> {
+        let value = match name {
+            "fps" => &mut self.fps,
+            "taa" => &mut self.taa,
+            "sigma" => &mut self.sigma,
+            "pixels_per_degree" => &mut self.pixels_per_degree,
+            _ => return Ok(false),
+        };
+        *value = Some(read(name, text)?);
+        Ok(true)
+    }
+
+    /// Whether any of them is given.
     pub fn is_given(&self) -> bool {
         *self != Self::default()
     }
 
-    /// Refuses these flags beside a kernel that is written out, in a flag or argument of this name.
+    /// Refuses these settings beside a kernel that is written out, in a flag or argument of this name.
     ///
     /// # Errors
     /// If there is one, and one of them is given.
-    pub fn refuse_beside(&self, kernel: Option<&KernelSpec>, name: &str) -> Result<(), Misuse> {
+    pub fn refuse_beside(
+        &self,
+        kernel: Option<&KernelSpec>,
+        name: &'static str,
+    ) -> Result<(), SettingsError> {
         if kernel.is_none() || !self.is_given() {
             return Ok(());
         }
-        let rule = "leave out --fps, --taa, --sigma and --pixels-per-degree";
-        Err(Misuse(format!("{name} says all of the kernel: {rule}")))
+        Err(SettingsError::TwoKernels { name })
     }
 
-    /// The flags that are given, as they are typed.
+    /// Those that are given, as flags of the command.
     pub fn typed(&self) -> String {
         let Self { fps, taa, sigma, pixels_per_degree } = *self;
         [("fps", fps), ("taa", taa), ("sigma", sigma), ("pixels-per-degree", pixels_per_degree)]
@@ -64,7 +84,7 @@ impl ViewingArgs {
     ///
     /// # Errors
     /// Numbers out of range, and two values for sigma.
-    pub fn kernel(&self, shape: TileShape) -> Result<KernelSpec, Misuse> {
+    pub fn kernel(&self, shape: TileShape) -> Result<KernelSpec, SettingsError> {
         self.viewing()?.kernel(shape).map_err(|problem| self.refused(problem))
     }
 
@@ -72,18 +92,18 @@ impl ViewingArgs {
     ///
     /// # Errors
     /// Numbers out of range, and two values for sigma.
-    pub fn perceived(&self, shape: TileShape) -> Result<KernelSpec, Misuse> {
+    pub fn perceived(&self, shape: TileShape) -> Result<KernelSpec, SettingsError> {
         self.viewing()?.perceived(shape).map_err(|problem| self.refused(problem))
     }
 
-    /// What the flags say, and the paper's where they do not.
+    /// What they say, and the paper's where they do not.
     ///
     /// # Errors
     /// Two values for sigma.
-    pub fn viewing(&self) -> Result<Viewing, Misuse> {
+    pub fn viewing(&self) -> Result<Viewing, SettingsError> {
         let Self { fps, taa, sigma, pixels_per_degree } = *self;
         if sigma.is_some() && pixels_per_degree.is_some() {
-            return Err(Misuse("--pixels-per-degree says sigma: leave out --sigma".into()));
+            return Err(SettingsError::TwoSigmas);
         }
         let default = Viewing::default();
         let sigma = sigma.or(pixels_per_degree.map(Viewing::sigma_at)).unwrap_or(default.sigma);
@@ -91,7 +111,7 @@ impl ViewingArgs {
     }
 
     /// What is wrong with a number, under the name of its flag: nobody typed an alpha.
-    fn refused(&self, mut problem: SpecProblem) -> Misuse {
+    fn refused(&self, mut problem: SpecProblem) -> SettingsError {
         if let SpecProblem::Value { name, .. } | SpecProblem::Reach { name, .. } = &mut problem {
             *name = match *name {
                 "fps" => "--fps",
@@ -101,6 +121,6 @@ impl ViewingArgs {
                 other => other,
             };
         }
-        Misuse(problem.to_string())
+        SettingsError::Viewing(problem)
     }
 }
