@@ -28,7 +28,8 @@ use super::stream::{say, show};
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct EvaluateArgs {
-    /// The tiles: .npy files, vertical strips of PNG slices, or folders of PNG slices
+    /// The tiles: .npy files, KTX2 textures, raw volumes, vertical strips of PNG slices, EXR layers, or
+    /// folders of PNG or EXR slices
     #[arg(value_name = "TILE", required = true)]
     tiles: Vec<PathBuf>,
 

@@ -15,14 +15,14 @@ use perceptile::format::texture::{Texels, packed, texels_for};
 use perceptile::format::write::{self, Existing, Staged};
 use perceptile::format::{ktx2, npy, raw};
 use perceptile::metric::{Coordinates, ScoreOptions, Scores, digits};
-use perceptile::tile::Tile;
+use perceptile::tile::{Tile, TileShape};
 
 use self::form::{ExportFormat, FileForm, Form};
 use super::exit::{Failure, Misuse};
-use super::number::whole;
 use super::source::{self, SourceArgs};
-use super::stream::print;
+use super::stream::{print, say};
 use super::{domain, perceived};
+use perceptile::settings::whole;
 
 /// Write a tile as pictures, textures or arrays for engines, and the function that reads them
 ///
@@ -129,6 +129,9 @@ pub fn run(args: ExportArgs) -> Result<(), Failure> {
         }
     }
     let tile = packed(&tiles)?;
+    if let Form::File(FileForm::Ktx2 { .. }) = form {
+        warn_of_sides(tile.shape());
+    }
     let name = source::name(&args.tiles[0]);
     let existing = Existing::from_force(args.force);
     let paths = match form {
@@ -176,6 +179,16 @@ pub fn run(args: ExportArgs) -> Result<(), Failure> {
         paths => paths.iter().map(|path| format!("{}\n", path.display())).collect(),
     };
     Ok(print(&lines)?)
+}
+
+/// Says which sides of a texture engines will not take.
+fn warn_of_sides(shape: TileShape) {
+    let sides = [shape.width(), shape.height(), shape.frames()];
+    if !sides.iter().all(|side| side.is_power_of_two()) {
+        let [width, height, frames] = sides;
+        let rule = "some engines take powers of two only, such as --preset engine has";
+        say(format_args!("warning: the texture has {width}x{height}x{frames} texels, but {rule}"));
+    }
 }
 
 /// Where the samples of the tile live, as far as one domain says it: packed tiles are numbers.

@@ -39,7 +39,8 @@ pub struct ReportArgs {
     #[arg(value_name = "OUT")]
     out: PathBuf,
 
-    /// The tiles: .npy files, vertical strips of PNG slices, or folders of PNG slices
+    /// The tiles: .npy files, KTX2 textures, raw volumes, vertical strips of PNG slices, EXR layers, or
+    /// folders of PNG or EXR slices
     #[arg(value_name = "TILE", required = true)]
     tiles: Vec<PathBuf>,
 

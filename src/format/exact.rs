@@ -78,7 +78,7 @@ mod tests {
                             let pixels = || (0..height).flat_map(|y| (0..width).map(move |x| (x, y)));
                             let pair = |(x, y)| (tile.point(x, y, t, s)[d], made.point(x, y, t, s)[d]);
                             let mut pairs: Vec<(f32, f32)> = pixels().map(pair).collect();
-                            pairs.sort_by(|a, b| a.1.total_cmp(&b.1));
+                            pairs.sort_by(|a, b| a.1.total_cmp(&b.1).then(a.0.total_cmp(&b.0)));
                             prop_assert!(pairs.windows(2).all(|pair| pair[0].0 <= pair[1].0));
                             let mut counts = vec![0_usize; depth.levels() as usize];
                             for (_, x) in &pairs {

@@ -29,8 +29,8 @@ pub use prefix::Prefix;
 pub use resolve::{Dropped, Kernel, KernelClass, KernelError, MAX_TAPS, ResolveProblem};
 pub use response::Response;
 pub use spec::{
-    ClassKind, ClassSpec, DEFAULT_PERCENT, Factor, KernelSpec, MAX_CLASSES, MAX_LENGTH,
-    SpecProblem, Truncation,
+    ClassKind, ClassSpec, DEFAULT_PERCENT, Factor, KernelSpec, MAX_BINOMIAL, MAX_CLASSES,
+    MAX_LENGTH, SpecProblem, Truncation,
 };
 pub use table::TableError;
 pub use taps::{KernelTaps, SignClass, Tap, TapsError};

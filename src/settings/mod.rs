@@ -80,7 +80,8 @@ settings! {
     #[arg(value_parser = preset::name(), help_heading = "Tile")]
     preset: Preset,
 
-    /// Width x height x frames [default: 64x64x16; paper 128x128x30; paper-taa 128x128x30]
+    /// Width x height x frames [default: 64x64x16; paper 128x128x30; paper-taa 128x128x30; engine 128x128x32;
+    /// engine-64 128x128x64; engine-taa 128x128x32; upscaler 128x128x32; scalar 128x128x32; scalar-64 128x128x64]
     #[arg(value_name = "WxHxF", help_heading = "Tile")]
     tile: TileSize,
 
@@ -88,7 +89,7 @@ settings! {
     #[arg(value_name = "N", help_heading = "Tile", value_parser = whole::<usize>)]
     spp: usize,
 
-    /// Dimensions of a sample, 1 to 16 [default: 2]
+    /// Dimensions of a sample, 1 to 16 [default: 2; scalar 1; scalar-64 1]
     #[arg(value_name = "N", help_heading = "Tile", value_parser = whole::<usize>)]
     dims: usize,
 
@@ -113,7 +114,8 @@ settings! {
     kernel: KernelSpec => kernel,
 
     /// Steps of stochastic gradient descent; fewer than the preset's shorten the polish as well
-    /// [default: 16000; quick 500; paper 10000; paper-taa 10000; salaun 3000; progressive 10000]
+    /// [default: 16000; quick 500; paper 10000; paper-taa 10000; salaun 3000; progressive 10000; engine 4000;
+    /// engine-64 4000; engine-taa 1500; upscaler 4000; scalar 4000; scalar-64 4000]
     #[arg(value_name = "N", help_heading = "Descent (for experts)", value_parser = whole::<u32>)]
     steps: u32 => steps,
 
@@ -122,7 +124,8 @@ settings! {
     stop_after: u32 => stop_after,
 
     /// Random draws per step (each: a pixel, a threshold, directions); without it, as many for each pixel
-    /// as in the preset's own tile [default: 4096]
+    /// as in the preset's own tile [default: 4096; engine 32768; engine-64 65536; engine-taa 32768;
+    /// upscaler 32768; scalar 32768; scalar-64 65536]
     #[arg(value_name = "N", help_heading = "Descent (for experts)", value_parser = whole::<usize>)]
     draws: usize => draw.draws,
 
@@ -163,7 +166,8 @@ settings! {
     epsilon: f64 => adam.epsilon,
 
     /// Full-batch steps after the descent; fewer with up to 4 samples per pixel, and 0 with more or beside
-    /// two dimensions [default: 150; quick 30; paper 80; paper-taa 80; salaun 50; progressive 0]
+    /// two dimensions [default: 150; quick 30; paper 80; paper-taa 80; salaun 50; progressive 0; engine 100;
+    /// engine-64 100; engine-taa 50; upscaler 100; scalar 0; scalar-64 0]
     #[arg(value_name = "STEPS", help_heading = "Polish (for experts)", value_parser = whole::<u32>)]
     polish: u32 => polish.steps,
 

@@ -29,5 +29,11 @@ pub fn purpose(preset: Preset) -> &'static str {
         Preset::PaperTaa => "The paper's job for frames accumulated with alpha 0.2",
         Preset::Salaun => "Spatial blue noise, every frame its own",
         Preset::Progressive => "16 samples per pixel, of which the first so many are good alone",
+        Preset::Engine => "A texture for engines, of powers of two: 128x128x32, in a minute or two",
+        Preset::Engine64 => "The same of 64 frames",
+        Preset::EngineTaa => "The same of 32 frames behind TAA with alpha 0.1",
+        Preset::Upscaler => "The same for upscalers with 8 jitter phases",
+        Preset::Scalar => "The same with one number per texel, for thresholds and dithering",
+        Preset::Scalar64 => "The same of 64 frames",
     }
 }

@@ -12,7 +12,7 @@ import { chromium } from 'playwright-core';
 import { writeFixture } from './fixture.mjs';
 
 /** Milliseconds that nothing takes, also on a busy machine: what hangs is to fail, and not to hang. */
-const LONG = 300000;
+export const LONG = 300000;
 
 export const REPORT = process.env.REPORT ? resolve(process.env.REPORT) : null;
 

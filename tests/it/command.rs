@@ -747,7 +747,7 @@ fn tiles_are_evaluated_and_exported() {
         1,
         &["a.png is the picture of a tile, not a tile: give a.npy"],
     );
-    folder.fail(&["evaluate", "a.json"], 1, &["neither a .npy file nor a PNG: give a.npy"]);
+    folder.fail(&["evaluate", "a.json"], 1, &["raw volume with its .json: give a.npy"]);
     let json = folder.succeed(
         &[&["evaluate", "a.npy", "b.npy", "--json", "--baselines", "white"], &kernel[..]].concat(),
     );

@@ -458,3 +458,157 @@ fn exact_levels_are_written_as_they_are() {
         assert_eq!(counts, [2; 256]);
     }
 }
+
+/// The command as users type it.
+#[cfg(target_os = "linux")]
+mod command {
+    use super::*;
+    use crate::tool::{PROGRAM, PROGRESS, Room};
+
+    /// A folder with some tiles.
+    struct Folder(Room);
+
+    impl Folder {
+        fn new() -> Self {
+            let room = Room::new();
+            for (name, dims, spp) in [("a", 2, 1), ("b", 1, 1), ("many", 5, 1), ("more", 1, 2)] {
+                let path = room.at(&format!("{name}.npy"));
+                scattered(shape(8, 8, 4, spp, dims)).save(path).unwrap();
+            }
+            Self(room)
+        }
+
+        /// Runs a command as a shell splits it: its exit code, and what it printed and said.
+        fn run(&self, line: &str) -> (Option<i32>, String, String) {
+            let mut command = Command::new("sh");
+            command.args(["-c", &format!("exec \"$0\" {line}"), PROGRAM]);
+            let done = output(command.current_dir(self.0.at("")).env(PROGRESS.0, PROGRESS.1));
+            let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+            (done.status.code(), text(&done.stdout), text(&done.stderr))
+        }
+
+        /// Runs what must succeed, and returns what it printed.
+        fn succeed(&self, line: &str) -> String {
+            let (code, printed, said) = self.run(line);
+            assert_eq!((code, said.as_str()), (Some(0), ""), "{line}");
+            printed
+        }
+
+        /// Runs what must fail with an exit code and these words.
+        fn fail(&self, line: &str, code: i32, words: &str) {
+            let (found, _, said) = self.run(line);
+            assert_eq!(found, Some(code), "{line}: {said}");
+            assert!(said.starts_with("error: ") && said.contains(words), "{line}: {said}");
+        }
+    }
+
+    #[test]
+    fn every_format_is_written_where_users_expect_it_and_read_back() {
+        let room = Folder::new();
+        let tile = scattered(shape(8, 8, 4, 1, 2));
+        for (flags, path, levels) in [
+            ("png8", "a-png8", Some(256.0)),
+            ("png16 --strip --out strip", "strip/a.png", Some(65536.0)),
+            ("png8 --plain-numbers --texels rgba --out plain", "plain", Some(256.0)),
+            ("ktx2", "a.ktx2", Some(256.0)),
+            ("ktx2 --bits 16 --out sixteen.ktx2", "sixteen.ktx2", Some(65536.0)),
+            ("ktx2-3d --texels rgba --out volume.ktx2", "volume.ktx2", Some(256.0)),
+            ("raw8", "a.raw", Some(256.0)),
+            ("raw16 --out strip", "strip/a.raw", Some(65536.0)),
+            ("npy", "a-u16.npy", Some(65536.0)),
+            ("npy --bits 8", "a-u8.npy", Some(256.0)),
+            ("exr", "a-exr", None),
+            ("exr --layers --out layers", "layers/a.exr", None),
+        ] {
+            room.succeed(&format!("export a.npy --format {flags}"));
+            let read = TileSource::new(room.0.at(path)).read().unwrap();
+            let expected = levels.map_or_else(|| tile.clone(), |levels| quantized(&tile, levels));
+            assert_eq!(bits(&read), bits(&expected), "{flags}");
+        }
+        assert!(room.0.names("plain").contains(&"a_f0.png".to_owned()));
+        room.fail("export a.npy --format ktx2", 3, "a.ktx2 exists already");
+        room.succeed("export a.npy --format ktx2 --force");
+        for (language, file) in
+            [("c", "a.h"), ("hlsl", "a.hlsl"), ("glsl", "a.glsl"), ("wgsl", "a.wgsl")]
+        {
+            room.succeed(&format!("export a.npy --format header --language {language}"));
+            assert!(String::from_utf8(room.0.read(file)).unwrap().contains("a_point("), "{file}");
+        }
+    }
+
+    #[test]
+    fn tiles_share_a_texture() {
+        let room = Folder::new();
+        room.succeed("export a.npy b.npy --format ktx2 --out both.ktx2");
+        let both = |channels: &str| TileSource {
+            channels: Some(channels.parse().unwrap()),
+            ..TileSource::new(room.0.at("both.ktx2"))
+        };
+        let [pair, single] =
+            [2, 1].map(|dims| quantized(&scattered(shape(8, 8, 4, 1, dims)), 256.0));
+        assert_eq!(both("rg").read().unwrap(), pair);
+        assert_eq!(both("b").read().unwrap(), single);
+        room.fail("export a.npy more.npy --format ktx2 --out x", 2, "do not go into one texture");
+        room.fail("export a.npy many.npy --format ktx2 --out x", 2, "7 dimensions");
+    }
+
+    #[test]
+    fn impossible_combinations_name_what_would_work() {
+        let room = Folder::new();
+        for (line, words) in [
+            ("a.npy --format raw8 --bits 16", "raw16 has 16"),
+            ("a.npy --format png16 --bits 8", "png8 has 8"),
+            ("a.npy --format ktx2-3d --bits 16", "--format ktx2 has 16"),
+            ("a.npy --format ktx2 --bits 12", "8 or 16"),
+            ("a.npy --format exr --bits 8", "floats"),
+            ("a.npy --format png8 --texels rg", "--format ktx2 has rg"),
+            ("a.npy --format png8 --texels r", "`rg` or `rgb` or `rgba` would"),
+            ("a.npy --format ktx2 --texels r", "`rg` or `rgb` or `rgba` would"),
+            ("a.npy --format ktx2 --texels rgx", "r, rg, rgb or rgba"),
+            ("many.npy --format ktx2", "--channels rg takes two of them"),
+            ("a.npy --format npy --texels rg", "pictures and textures"),
+            ("a.npy --format ktx2 --strip", "png8 or png16"),
+            ("a.npy --format png8 --layers", "but with exr"),
+            ("a.npy --format raw8 --plain-numbers", "png8, png16 or exr"),
+            ("a.npy --format ktx2 --language c", "but with header"),
+            ("a.npy --format header --language glsl --for raw8", "texture format"),
+            ("a.npy --format header --for exr", "ktx2"),
+            ("a.npy --format exr --exact", "needs a format with levels"),
+        ] {
+            room.fail(&format!("export {line} --out out"), 2, words);
+            assert!(!room.0.at("out").exists(), "{line}");
+        }
+    }
+
+    #[test]
+    fn exact_levels_are_said_to_cost_little() {
+        let room = Folder::new();
+        let said = room.succeed("export b.npy --exact --format raw8");
+        assert!(said.contains("perceived error of b.npy") && said.contains("linear"), "{said}");
+        let mut counts = [0; 256];
+        for &level in &room.0.read("b.raw") {
+            counts[usize::from(level)] += 1;
+        }
+        // 64 pixels in each of 4 frames have every fourth level, in the middle.
+        let expected = |level: usize| if level % 4 == 2 { 4 } else { 0 };
+        assert!((0..256).all(|level| counts[level] == expected(level)), "{counts:?}");
+        let made = "optimize --domain sphere --preset quick --tile 8x8x8 --steps 2 --integrands 0";
+        room.succeed(&format!("{made} --out s.npy"));
+        room.fail("export s.npy --exact", 2, "tiles of the square");
+    }
+
+    #[test]
+    fn a_texture_keeps_the_kernel_of_its_tile() {
+        let room = Folder::new();
+        let made = "optimize --preset quick --tile 16x16x8 --steps 5 --integrands 0";
+        room.succeed(&format!("{made} --kernel 'gaussian(1.5) @ 5x5x1' --out t.npy"));
+        for format in ["ktx2", "raw8", "npy"] {
+            room.succeed(&format!("export t.npy --format {format} --out {format}.{format}"));
+            let said = room.succeed(&format!("evaluate {format}.{format} --integrands 4"));
+            assert!(
+                said.contains(&format!("gaussian(1.5) @ 5x5x1 (from {format}.json)")),
+                "{said}"
+            );
+        }
+    }
+}
