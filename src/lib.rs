@@ -34,6 +34,7 @@
 //! | watch it being made, or end that | [`Optimizer::observe`] |
 //! | say what the eye sees | [`Viewing`] (frame rate, temporal anti-aliasing, display), or a [`KernelSpec`] from text |
 //! | read and write tiles | [`Tile::load`], [`Tile::save`]; other files: [`format`](mod@format) |
+//! | write textures for engines | [`export`] |
 //! | read samples | [`Tile::point`], [`Tile::samples`] |
 //! | know how good a tile is | [`Run::scores`], [`Tile::scores`]; what the scores mean: [`metric`] |
 //!
@@ -65,7 +66,8 @@
 //!
 //! `cli`, on by default, is the command with all that only it needs, profiles and reports. Programs
 //! that make or read tiles set `default-features = false`, which leaves two thirds of the crates.
-//! `mpi` is for the command on clusters; it needs an MPI library.
+//! `exr`, a part of it, reads and writes tiles as EXR files. `mpi` is for the command on clusters; it needs
+//! an MPI library.
 
 // Rooms behind the items below. The command, tests and benches go in; users need not.
 #[cfg_attr(not(internals), doc(hidden))]
@@ -73,6 +75,7 @@ pub mod array;
 pub mod domain;
 #[cfg_attr(not(internals), doc(hidden))]
 pub mod draw;
+pub mod export;
 pub mod format;
 #[cfg_attr(not(internals), doc(hidden))]
 pub mod gradient;

@@ -15,7 +15,7 @@ use super::domain::DomainArgs;
 use super::exit::{Exit, Failure, Misuse};
 use super::integrands::IntegrandsArgs;
 use super::perceived::PerceivedArgs;
-use super::source::{self, SourceArgs};
+use super::source::SourceArgs;
 use super::stream::{say, show};
 
 /// Score tiles: perceived error, uniformity, accumulation, quantization
@@ -188,7 +188,7 @@ fn requirement(text: &str) -> Result<(Class, f64), &'static str> {
 
 /// Says which of the tiles that were named have more error than they may.
 fn check(args: &EvaluateArgs, tiles: &[ScoredTile]) -> Result<(), Failure> {
-    let is_named = |path: &PathBuf| args.tiles.iter().any(|tile| source::is_same(tile, path));
+    let is_named = |path: &PathBuf| args.tiles.iter().any(|tile| write::is_same(tile, path));
     let mut result = Ok(());
     for tile in tiles.iter().filter(|tile| tile.path.as_ref().is_some_and(is_named)) {
         for &(class, most) in &args.require {
@@ -208,7 +208,7 @@ fn candidates(args: &EvaluateArgs) -> Result<Vec<Candidate>, Failure> {
     let mut paths = args.tiles.clone();
     if let Some(against) = &args.against {
         // Given as one of the tiles as well, it is not scored twice.
-        paths.retain(|path| !source::is_same(path, against));
+        paths.retain(|path| !write::is_same(path, against));
         paths.insert(0, against.clone());
     }
     candidates::read(paths, &args.source)

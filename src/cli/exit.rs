@@ -8,11 +8,10 @@ use std::fmt::{Display, Write as _};
 use std::process::ExitCode;
 
 use perceptile::domain::DomainError;
+use perceptile::export::{ExportError, FormError};
 use perceptile::format::animation::AnimationError;
-use perceptile::format::header::HeaderError;
 use perceptile::format::picture::ImageError;
 use perceptile::format::source::SourceError;
-use perceptile::format::texture::TextureError;
 use perceptile::format::write::WriteError;
 use perceptile::kernel::{KernelError, ResolveProblem};
 use perceptile::metric::ScoreError;
@@ -169,8 +168,8 @@ exits! {
     ProfileError { Self::Memory(error) => error.exit(), _ => Exit::Failed }
     RooflineError { _ => Exit::Failed }
     ImageError { _ => Exit::Failed }
-    HeaderError { _ => Exit::Misuse }
-    TextureError { _ => Exit::Misuse }
+    ExportError { Self::Write(error) => error.exit(), _ => Exit::Misuse }
+    FormError { _ => Exit::Misuse }
     SourceError { _ => Exit::Failed }
     AnimationError { Self::Pattern { .. } => Exit::Misuse, _ => Exit::Failed }
     SelectError {

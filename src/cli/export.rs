@@ -1,28 +1,23 @@
 //! `perceptile export`: a tile as files for engines, renderers and scripts.
 
-mod form;
-
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use perceptile::domain::Domain;
-use perceptile::format::exact::exact;
-use perceptile::format::header::Header;
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use perceptile::export::header::Language;
+use perceptile::export::{self, ExportFormat, ExportOptions, Form, Named};
 use perceptile::format::sidecar::Sidecar;
-use perceptile::format::slices::write_slices;
-use perceptile::format::texture::{Texels, packed, texels_for};
-use perceptile::format::write::{self, Existing, Staged};
-use perceptile::format::{ktx2, npy, raw};
+use perceptile::format::texture::Texels;
+use perceptile::format::write::Existing;
 use perceptile::metric::{Coordinates, ScoreOptions, Scores, digits};
+use perceptile::settings::whole;
 use perceptile::tile::{Tile, TileShape};
 
-use self::form::{ExportFormat, FileForm, Form};
-use super::exit::{Failure, Misuse};
+use super::exit::Failure;
 use super::source::{self, SourceArgs};
 use super::stream::{print, say};
 use super::{domain, perceived};
-use perceptile::settings::whole;
 
 /// Write a tile as pictures, textures or arrays for engines, and the function that reads them
 ///
@@ -40,7 +35,7 @@ pub struct ExportArgs {
     tiles: Vec<PathBuf>,
 
     /// What to write
-    #[arg(long, value_enum, default_value_t = ExportFormat::Png8, help_heading = "Output")]
+    #[arg(long, value_parser = format(), default_value = "png8", help_heading = "Output")]
     format: ExportFormat,
 
     /// Bits of a channel, 8 or 16 [default: 8; npy 16]
@@ -49,7 +44,7 @@ pub struct ExportArgs {
 
     /// Channels of a texel or pixel: r, rg, rgb or rgba [default: as many as dimensions; three
     /// take rgba in textures, and two take rgb in pictures]
-    #[arg(long, value_name = "CHANNELS", value_parser = form::texels, help_heading = "Output")]
+    #[arg(long, value_name = "CHANNELS", help_heading = "Output")]
     texels: Option<Texels>,
 
     /// Every level equally often in each slice, by the ranks of its coordinates: for thresholds and
@@ -70,11 +65,11 @@ pub struct ExportArgs {
     plain_numbers: bool,
 
     /// Header: its language [default: c]
-    #[arg(long, value_enum, help_heading = "Output")]
-    language: Option<form::LanguageName>,
+    #[arg(long, value_parser = language(), help_heading = "Output")]
+    language: Option<Language>,
 
     /// Header: the format that it reads [default: raw8 in C, else ktx2]
-    #[arg(long = "for", value_enum, value_name = "FORMAT", help_heading = "Output")]
+    #[arg(long = "for", value_parser = format(), value_name = "FORMAT", help_heading = "Output")]
     reads: Option<ExportFormat>,
 
     /// Pictures: a folder for them, and for slices of no other tile; it is made if the folder around it
@@ -100,78 +95,59 @@ Examples:
   perceptile export tile.npy --format png16 --out textures
   perceptile export pair.npy scalar.npy --format ktx2 --out packed.ktx2";
 
-/// Reads the tile and writes its files.
+/// Reads the name of a format.
+fn format() -> impl TypedValueParser<Value = ExportFormat> {
+    let name = |(_, name, purpose): &(_, &'static str, &'static str)| {
+        PossibleValue::new(*name).help(*purpose)
+    };
+    let names: Vec<PossibleValue> = ExportFormat::ALL.iter().map(name).collect();
+    PossibleValuesParser::new(names).try_map(|name| name.parse())
+}
+
+/// Reads the name of a language.
+fn language() -> impl TypedValueParser<Value = Language> {
+    let language = |name: String| Language::ALL.into_iter().find(|&(_, its)| its == name);
+    PossibleValuesParser::new(Language::ALL.map(|(_, name)| name))
+        .map(move |name| language(name).expect("one of the names").0)
+}
+
+/// Reads the tiles and writes their files.
 ///
 /// # Errors
 /// A tile that cannot be read, a combination that no format has, files that exist without `--force` or
 /// cannot be written, a folder with slices of another tile.
-pub fn run(args: ExportArgs) -> Result<(), Failure> {
-    let form = Form::new(&args)?;
+pub fn run(args: &ExportArgs) -> Result<(), Failure> {
+    let ExportArgs { format, bits, texels, exact, strip, layers, plain_numbers, .. } = *args;
+    let ExportArgs { language, reads, .. } = *args;
+    let form = Form::new(&ExportOptions {
+        format,
+        bits,
+        texels,
+        exact,
+        strip,
+        layers,
+        plain_numbers,
+        language,
+        reads,
+    })?;
+    let mut lines = String::new();
     let mut tiles = Vec::new();
     for path in &args.tiles {
-        tiles.push(args.source.read(path)?);
-    }
-    let domain = domain_of(&args.tiles, &tiles)?;
-    let mut lines = String::new();
-    if args.exact {
-        if !domain.is_square() {
-            let rule = "--exact is for tiles of the square, whose levels are thresholds";
-            return Err(Misuse(format!("the tile has samples of `{domain}`, but {rule}")).into());
-        }
-        let depth =
-            form.depth().ok_or_else(|| Misuse("--exact needs a format with levels".into()))?;
-        for (path, tile) in args.tiles.iter().zip(&mut tiles) {
-            let made = exact(tile, depth);
-            if !matches!(form, Form::File(FileForm::Header { .. })) {
-                lines += &loss(path, tile, &made)?;
-            }
-            *tile = made;
-        }
-    }
-    let tile = packed(&tiles)?;
-    if let Form::File(FileForm::Ktx2 { .. }) = form {
-        warn_of_sides(tile.shape());
-    }
-    let name = source::name(&args.tiles[0]);
-    let existing = Existing::from_force(args.force);
-    let paths = match form {
-        Form::Pictures { options, folder } => {
-            form::check_pictures(tile.shape(), &options)?;
-            let folder = args.out.unwrap_or_else(|| format!("{name}-{folder}").into());
-            write::make_folder(&folder)?;
-            let named = |path: &Path| folder.join(format!("{}.json", source::name(path)));
-            // Whole before the first slice has its name, so that slices never stay without it.
-            let sidecars = sidecars(&args.tiles, &tiles, existing, named)?;
-            let own = folder.join(name.clone() + ".json");
-            let earlier = Sidecar::find(&folder).filter(|earlier| *earlier != own);
-            let paths = write_slices(&tile, options, &folder, &name, existing)?;
-            sidecars.into_iter().try_for_each(Staged::finish)?;
-            if let Some(earlier) = earlier.filter(|_| args.force) {
-                remove_orphan(&earlier)?;
-            }
-            paths
-        }
-        Form::File(form) => {
-            let file = form.name(&name);
-            let path = match args.out {
-                Some(out) if out.is_dir() => out.join(file),
-                out => out.unwrap_or_else(|| file.into()),
-            };
-            let mut staged = Vec::new();
+        let mut named = read(path, &args.source)?;
+        if exact {
+            let made = export::with_exact_levels(&form, &named)?;
             if form.has_samples() {
-                let single = args.tiles.len() == 1;
-                let beside = |tile: &Path| match single {
-                    true => Sidecar::path_of(&path),
-                    false => path.with_file_name(format!("{}.json", source::name(tile))),
-                };
-                staged = sidecars(&args.tiles, &tiles, existing, beside)?;
+                lines += &loss(path, &named.tile, &made)?;
             }
-            let files = stage_file(&form, (&tile, domain, &name), &path, existing)?;
-            let (paths, files): (Vec<PathBuf>, Vec<Staged>) = files.into_iter().unzip();
-            staged.into_iter().chain(files).try_for_each(Staged::finish)?;
-            paths
+            named.tile = made;
         }
-    };
+        tiles.push(named);
+    }
+    if form.is_texture() {
+        warn_of_sides(tiles[0].tile.shape());
+    }
+    let existing = Existing::from_force(args.force);
+    let paths = export::write(&form, &tiles, args.out.as_deref(), existing)?;
     lines += &match &paths[..] {
         [first, .., last] if paths.len() > 2 => {
             format!("{} … {} ({} files)\n", first.display(), last.display(), paths.len())
@@ -179,6 +155,22 @@ pub fn run(args: ExportArgs) -> Result<(), Failure> {
         paths => paths.iter().map(|path| format!("{}\n", path.display())).collect(),
     };
     Ok(print(&lines)?)
+}
+
+/// Reads a tile with what is known of it.
+fn read(path: &Path, source: &SourceArgs) -> Result<Named, Failure> {
+    let tile = source.read(path)?;
+    let domain = domain::of_tile(path, tile.shape())?;
+    // A sidecar that is none of this tile stays where it is.
+    let sidecar = Sidecar::find(path)
+        .filter(|sidecar| Sidecar::read(sidecar).is_ok_and(|it| it.describes(path, tile.shape())));
+    let text = |sidecar: PathBuf| {
+        let what = format!("cannot read {}", sidecar.display());
+        let text = fs::read(&sidecar).map_err(Failure::refused(&what))?;
+        Ok::<_, Failure>((text, Some(sidecar)))
+    };
+    let provenance = sidecar.map(text).transpose()?;
+    Ok(Named { name: source::name(path), tile, domain, provenance })
 }
 
 /// Says which sides of a texture engines will not take.
@@ -191,54 +183,6 @@ fn warn_of_sides(shape: TileShape) {
     }
 }
 
-/// Where the samples of the tile live, as far as one domain says it: packed tiles are numbers.
-fn domain_of(paths: &[PathBuf], tiles: &[Tile]) -> Result<Domain, Failure> {
-    match (paths, tiles) {
-        ([path], [tile]) => domain::of_tile(path, tile.shape()),
-        _ => Ok(Domain::Square),
-    }
-}
-
-/// The files of a texture, array or header, whole but without their names yet.
-fn stage_file(
-    form: &FileForm,
-    (tile, domain, name): (&Tile, Domain, &str),
-    path: &Path,
-    existing: Existing,
-) -> Result<Vec<(PathBuf, Staged)>, Failure> {
-    let shape = tile.shape();
-    let stage = |content: &mut dyn FnMut(&mut dyn std::io::Write) -> std::io::Result<()>| {
-        Staged::new(path, existing, content).map(|staged| (path.to_owned(), staged))
-    };
-    match *form {
-        FileForm::Ktx2 { texels, depth, layout } => {
-            let texels = texels_for(shape, texels)?;
-            Ok(vec![stage(&mut |out| ktx2::write(tile, (texels, depth), layout, out))?])
-        }
-        FileForm::Raw { texels, depth } => {
-            let texels = texels_for(shape, texels)?;
-            let beside = raw::description_of(path);
-            write::probe([path, &beside], existing)?;
-            let mut description = None;
-            let raw = stage(&mut |out| {
-                description = Some(raw::write(tile, (texels, depth), out)?);
-                Ok(())
-            })?;
-            let json = Staged::new(&beside, existing, |out| {
-                serde_json::to_writer_pretty(&mut *out, &description)?;
-                writeln!(out)
-            })?;
-            Ok(vec![raw, (beside, json)])
-        }
-        FileForm::Npy { depth } => Ok(vec![stage(&mut |out| npy::write_levels(tile, depth, out))?]),
-        FileForm::Header { language, storage, texels, depth } => {
-            let header = Header { name, shape, domain, texels, depth, storage };
-            let text = header.text(language)?;
-            Ok(vec![stage(&mut |out| out.write_all(text.as_bytes()))?])
-        }
-    }
-}
-
 /// What exact levels do to the scores, behind the kernel that the tile was made for.
 fn loss(path: &Path, tile: &Tile, exact: &Tile) -> Result<String, Failure> {
     let kernel = perceived::of_tile(path, tile.shape());
@@ -246,46 +190,12 @@ fn loss(path: &Path, tile: &Tile, exact: &Tile) -> Result<String, Failure> {
     let taps = &resolved.classes()[0].taps;
     let scores = |tile: &Tile| Scores::of(tile, taps, ScoreOptions::default());
     let (before, after) = (scores(tile)?, scores(exact)?);
-    let origin = &kernel.origin;
-    let mut text = format!("perceived error of {}, kernel {origin}:\n", path.display());
+    let mut text = format!("perceived error of {}, kernel {}:\n", path.display(), kernel.origin);
     for score in before.classes.iter().filter(|score| score.coordinates == Coordinates::All) {
-        let class = score.class;
-        let Some(other) = after.class(class, Coordinates::All) else { continue };
+        let Some(other) = after.class(score.class, Coordinates::All) else { continue };
         let (a, b) = (score.perceived.mean, other.perceived.mean);
-        let (from, to) = (digits(a, 3), digits(b, 3));
-        text += &format!("  {:<10} {from} -> {to} ({:.2} times)\n", class.to_string(), b / a);
+        let (class, from, to) = (score.class.to_string(), digits(a, 3), digits(b, 3));
+        text += &format!("  {class:<10} {from} -> {to} ({:.2} times)\n", b / a);
     }
     Ok(text)
-}
-
-/// Copies of the sidecars of tiles, for those that have one that is theirs, without their names yet.
-fn sidecars(
-    paths: &[PathBuf],
-    tiles: &[Tile],
-    existing: Existing,
-    copy: impl Fn(&Path) -> PathBuf,
-) -> Result<Vec<Staged>, Failure> {
-    let mut staged = Vec::new();
-    for (path, tile) in paths.iter().zip(tiles) {
-        let Some(sidecar) = Sidecar::find(path) else { continue };
-        let is_its = Sidecar::read(&sidecar).is_ok_and(|it| it.describes(path, tile.shape()));
-        let copy = copy(path);
-        // In the tile's own folder it is there already.
-        if is_its && !source::is_same(&sidecar, &copy) {
-            write::probe([&copy], existing)?;
-            staged.push(Staged::new(&copy, existing, |out| out.write_all(&fs::read(sidecar)?))?);
-        }
-    }
-    Ok(staged)
-}
-
-/// Removes the sidecar of an earlier export whose slices are gone, and nothing else: not one that is
-/// beside its tile, nor what only has the name of one.
-fn remove_orphan(sidecar: &Path) -> Result<(), Failure> {
-    let is_used = Sidecar::has_slices(sidecar) || sidecar.with_extension("npy").exists();
-    if is_used || Sidecar::read(sidecar).is_err() {
-        return Ok(());
-    }
-    let what = format!("cannot remove {}", sidecar.display());
-    fs::remove_file(sidecar).map_err(Failure::refused(&what))
 }

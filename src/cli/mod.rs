@@ -139,7 +139,7 @@ fn run(
         Command::Kernel(args) => kernel::run(args).map(done),
         Command::Presets(args) => presets::run(&args).map(done),
         Command::Select(args) => ranks::together(launcher, |ranks| select::run(&args, ranks)),
-        Command::Export(args) => export::run(args).map(done),
+        Command::Export(args) => export::run(&args).map(done),
         Command::Profile(args) => profile::run(&args).map(done),
         Command::Report(args) => report::run(args),
         Command::Completions(args) => completions::run(&args, Arguments::command()).map(done),

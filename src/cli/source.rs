@@ -1,6 +1,5 @@
 //! How tiles are read that their files do not fully describe: flags of every command that does.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
@@ -55,9 +54,4 @@ impl SourceArgs {
 pub fn name(path: &Path) -> String {
     let name = if path.is_dir() { path.file_name() } else { path.file_stem() };
     name.unwrap_or("tile".as_ref()).to_string_lossy().into_owned()
-}
-
-/// Whether two paths lead to one file.
-pub fn is_same(a: &Path, b: &Path) -> bool {
-    a == b || matches!((fs::canonicalize(a), fs::canonicalize(b)), (Ok(a), Ok(b)) if a == b)
 }

@@ -4,7 +4,7 @@
 //! it: our own and foreign `.npy` files ([`npy`]), textures ([`ktx2`], [`raw`]), strips and folders of
 //! slices ([`png`], `exr_slices`; [`series`] puts them in order). `tile` gives
 //! [`Tile`](crate::tile::Tile) its own `load` and `save`. Outwards, [`slices`] exports a tile as
-//! pictures, and [`texture`] as what engines load; [`header`] has the functions that read it there.
+//! pictures, and [`texture`] as what engines load ([`export`](crate::export) chooses among them).
 //! [`picture`] draws a tile's preview, [`sidecar`] records where it came from, and all of them
 //! write through [`write`](mod@write), which never loses an existing file; `claim` keeps others
 //! from the same output meanwhile, and `unfinished` knows what must go should the process end at
@@ -26,13 +26,12 @@ pub mod checkpoint;
 #[cfg_attr(not(internals), doc(hidden))]
 pub mod claim;
 pub mod exact;
-#[cfg(feature = "cli")]
+#[cfg(feature = "exr")]
 #[cfg_attr(not(internals), doc(hidden))]
 pub mod exr;
-#[cfg(feature = "cli")]
+#[cfg(feature = "exr")]
 mod exr_slices;
 pub(crate) mod hashed;
-pub mod header;
 pub mod ktx2;
 pub mod npy;
 pub mod numbers;

@@ -13,10 +13,10 @@ use std::fs::{self, File};
 use std::io::{self, BufReader, Write};
 use std::path::{Path, PathBuf};
 
-#[cfg(feature = "cli")]
+#[cfg(feature = "exr")]
 use super::exr_slices;
 use super::png::{self, Depth, PixelFormat, Raster};
-#[cfg(feature = "cli")]
+#[cfg(feature = "exr")]
 use super::source::Slice;
 use super::texture::{MAX_CHANNELS, Texels};
 use super::write::{self, Existing, Staged, WriteError};
@@ -34,7 +34,7 @@ pub enum Picture {
     /// PNG with channels of so many bits.
     Png(Depth),
     /// EXR with floats.
-    #[cfg(feature = "cli")]
+    #[cfg(feature = "exr")]
     Exr,
 }
 
@@ -43,7 +43,7 @@ impl Picture {
     pub fn extension(self) -> &'static str {
         match self {
             Self::Png(_) => "png",
-            #[cfg(feature = "cli")]
+            #[cfg(feature = "exr")]
             Self::Exr => "exr",
         }
     }
@@ -57,7 +57,7 @@ pub enum Stack {
     /// All in one picture, from the first at the top.
     Strip,
     /// All in one file, in layers, with all samples and dimensions.
-    #[cfg(feature = "cli")]
+    #[cfg(feature = "exr")]
     Layers,
 }
 
@@ -201,7 +201,7 @@ fn is_exported(path: &Path) -> bool {
     if !fs::symlink_metadata(path).is_ok_and(|metadata| metadata.is_file()) {
         return false;
     }
-    #[cfg(feature = "cli")]
+    #[cfg(feature = "exr")]
     if has_extension(path, "exr") {
         return exr_slices::software(path).is_some_and(|it| it == SOFTWARE);
     }
@@ -242,7 +242,7 @@ fn files(shape: TileShape, options: SliceOptions) -> impl Iterator<Item = SliceF
         })
     });
     let all: Vec<SliceFile> = match options.stack {
-        #[cfg(feature = "cli")]
+        #[cfg(feature = "exr")]
         Stack::Layers => vec![SliceFile(pieces.collect())],
         _ => pieces.map(|piece| SliceFile(vec![piece])).collect(),
     };
@@ -252,7 +252,7 @@ fn files(shape: TileShape, options: SliceOptions) -> impl Iterator<Item = SliceF
 impl SliceFile {
     fn name(&self, shape: TileShape, options: SliceOptions, stem: &str) -> String {
         let name = match options.stack {
-            #[cfg(feature = "cli")]
+            #[cfg(feature = "exr")]
             Stack::Layers => String::new(),
             _ => self.0[0].name(shape, options.padded),
         };
@@ -284,7 +284,7 @@ impl SliceFile {
                 let [width, height] = piece.size(tile.shape());
                 png::encode_as(&Raster { width, height, layout, depth, levels }, SOFTWARE, out)
             }
-            #[cfg(feature = "cli")]
+            #[cfg(feature = "exr")]
             Picture::Exr => {
                 let slice = |piece: &Piece| {
                     let layout = piece.layout(options.texels);

@@ -4,7 +4,7 @@
 //! The content decides what a file is, not its name; raw volumes alone have no mark of their own, and
 //! are known by the description beside them.
 
-#[cfg(feature = "cli")]
+#[cfg(feature = "exr")]
 use std::collections::HashMap;
 use std::fs::{self, File};
 use std::io::{self, BufReader, Read, Seek};
@@ -12,9 +12,9 @@ use std::path::{Path, PathBuf};
 
 use thiserror::Error;
 
-#[cfg(feature = "cli")]
+#[cfg(feature = "exr")]
 use super::exr::ExrError;
-#[cfg(feature = "cli")]
+#[cfg(feature = "exr")]
 use super::exr_slices;
 use super::ktx2::{self, Ktx2Error};
 use super::npy::{self, NpyError};
@@ -86,7 +86,7 @@ pub enum SourceError {
     #[error(transparent)]
     Raw(#[from] RawError),
     /// An EXR file that cannot be read.
-    #[cfg(feature = "cli")]
+    #[cfg(feature = "exr")]
     #[error("cannot read {}: {error}", path.display())]
     Exr {
         /// The file.
@@ -365,7 +365,7 @@ impl TileSource {
     }
 
     /// The tile in the layers of an EXR file.
-    #[cfg(feature = "cli")]
+    #[cfg(feature = "exr")]
     fn read_layers(&self) -> Result<Tile, SourceError> {
         let slices = slices_of_exr(&self.path)?;
         let count = slices.len();
@@ -387,7 +387,7 @@ impl TileSource {
         })
     }
 
-    #[cfg(not(feature = "cli"))]
+    #[cfg(not(feature = "exr"))]
     fn read_layers(&self) -> Result<Tile, SourceError> {
         Err(SourceError::Unknown { path: self.path.clone(), tile: None })
     }
@@ -678,7 +678,7 @@ fn open(path: &Path) -> Result<(BufReader<File>, u64), SourceError> {
 
 /// Reads one slice of a folder.
 fn read_slice(path: &Path) -> Result<Slice, SourceError> {
-    #[cfg(feature = "cli")]
+    #[cfg(feature = "exr")]
     if has_extension(path, "exr") {
         open(path)?;
         let mut slices = slices_of_exr(path)?;
@@ -692,7 +692,7 @@ fn read_slice(path: &Path) -> Result<Slice, SourceError> {
 }
 
 /// The layers of an EXR file, with their names.
-#[cfg(feature = "cli")]
+#[cfg(feature = "exr")]
 fn slices_of_exr(path: &Path) -> Result<Vec<(String, Slice)>, SourceError> {
     let slices = exr_slices::read(path)
         .map_err(|error| SourceError::Exr { path: path.to_owned(), error })?;

@@ -9,6 +9,7 @@
 
 use std::fmt;
 use std::io::{self, Read, Write};
+use std::str::FromStr;
 
 use thiserror::Error;
 
@@ -57,6 +58,20 @@ impl fmt::Display for Texels {
         f.write_str(&"rgba"[..self.channels()])
     }
 }
+
+impl FromStr for Texels {
+    type Err = UnknownTexels;
+
+    fn from_str(text: &str) -> Result<Self, UnknownTexels> {
+        let named = Self::ALL.into_iter().find(|texels| texels.to_string() == text);
+        named.ok_or(UnknownTexels)
+    }
+}
+
+/// A text that names no channels of a texel.
+#[derive(Debug, Error, Clone, Copy, PartialEq, Eq)]
+#[error("it must be r, rg, rgb or rgba")]
+pub struct UnknownTexels;
 
 /// Why a tile is no texture.
 #[derive(Debug, Error, Clone, PartialEq, Eq)]

@@ -107,7 +107,7 @@ pub enum WriteError {
 
 impl WriteError {
     /// What the system says about `path`.
-    pub(super) fn io(path: &Path) -> impl FnOnce(io::Error) -> Self {
+    pub(crate) fn io(path: &Path) -> impl FnOnce(io::Error) -> Self {
         move |error| Self::Io { path: path.to_owned(), error }
     }
 }
@@ -239,6 +239,11 @@ pub fn make_folder(path: &Path) -> Result<(), WriteError> {
         }
         result => result.map_err(WriteError::io(path)),
     }
+}
+
+/// Whether two paths lead to one file.
+pub fn is_same(a: &Path, b: &Path) -> bool {
+    a == b || matches!((fs::canonicalize(a), fs::canonicalize(b)), (Ok(a), Ok(b)) if a == b)
 }
 
 /// Where a file will be, after all checks that can be made before writing.

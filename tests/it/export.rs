@@ -5,8 +5,8 @@ use std::path::Path;
 use std::process::Command;
 
 use perceptile::domain::Domain;
+use perceptile::export::header::{Header, HeaderError, Language, Storage};
 use perceptile::format::exact::exact;
-use perceptile::format::header::{Header, HeaderError, Language, Storage};
 use perceptile::format::ktx2::{self, Layout};
 use perceptile::format::png::Depth;
 use perceptile::format::slices::{Picture, SliceOptions, Stack, write_slices};
@@ -571,7 +571,7 @@ mod command {
             ("a.npy --format png8 --layers", "but with exr"),
             ("a.npy --format raw8 --plain-numbers", "png8, png16 or exr"),
             ("a.npy --format ktx2 --language c", "but with header"),
-            ("a.npy --format header --language glsl --for raw8", "texture format"),
+            ("a.npy --format header --language glsl --for raw8", "--for ktx2"),
             ("a.npy --format header --for exr", "ktx2"),
             ("a.npy --format exr --exact", "needs a format with levels"),
         ] {

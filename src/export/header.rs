@@ -9,9 +9,9 @@ use std::fmt;
 
 use thiserror::Error;
 
-use super::png::Depth;
-use super::texture::{Texels, texels_for};
 use crate::domain::{Domain, Surface};
+use crate::format::png::Depth;
+use crate::format::texture::{Texels, TextureError, texels_for};
 use crate::tile::TileShape;
 
 /// Most texels across or down: more does no GPU load.
@@ -31,6 +31,10 @@ pub enum Language {
 }
 
 impl Language {
+    /// All, with the names that users type.
+    pub const ALL: [(Self, &str); 4] =
+        [(Self::C, "c"), (Self::Hlsl, "hlsl"), (Self::Glsl, "glsl"), (Self::Wgsl, "wgsl")];
+
     /// The extension of its files.
     pub fn extension(self) -> &'static str {
         match self {
@@ -71,7 +75,7 @@ impl fmt::Display for Storage {
 pub enum HeaderError {
     /// A tile that no texture holds.
     #[error(transparent)]
-    Texture(#[from] super::texture::TextureError),
+    Texture(#[from] TextureError),
     /// A side that is too long.
     #[error("the tile has {shape}, but a header reads at most {MAX_SIDE} texels across and down")]
     Side {
@@ -79,7 +83,7 @@ pub enum HeaderError {
         shape: TileShape,
     },
     /// A language that does not read this.
-    #[error("{language:?} reads no tile from {storage}: {rule}")]
+    #[error("{} reads no tile from {storage}: {rule}", format!("{language:?}").to_uppercase())]
     Storage {
         /// The language.
         language: Language,
@@ -138,7 +142,7 @@ impl Header<'_> {
         }
         let is_memory = self.storage == Storage::Memory;
         if is_memory != (language == Language::C) {
-            let rule = if is_memory { "name a texture format" } else { "name raw8 or raw16" };
+            let rule = if is_memory { "--for ktx2 is a texture" } else { "--for raw8 is memory" };
             return Err(HeaderError::Storage { language, storage: self.storage, rule });
         }
         if self.storage == Storage::Strip && shape.spp() > 1 {
