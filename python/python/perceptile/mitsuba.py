@@ -1,0 +1,1 @@
+../../../examples/mitsuba/tile_sampler.py
