@@ -4,6 +4,7 @@ use std::error::Error;
 use std::io;
 
 use perceptile::domain::{DensityError, DomainError};
+use perceptile::export::{ExportError, FormError};
 use perceptile::format::sidecar::SidecarError;
 use perceptile::kernel::{KernelError, ParseError, ResolveProblem, SpecProblem};
 use perceptile::run::error::RunError;
@@ -108,6 +109,7 @@ fn in_python(message: &str) -> String {
         let (flag, rest) = part.split_at(end);
         text += &match flag {
             "force" => "force=True".to_owned(),
+            "for" => "reads".to_owned(),
             _ => flag.replace('-', "_"),
         };
         text += rest;
@@ -152,6 +154,8 @@ raises! {
         _ => Kind::Run,
     }
     SelectError { Self::Memory(_) => Kind::Memory, _ => Kind::Value }
+    FormError { _ => Kind::Value }
+    ExportError { Self::Write(error) => error.kind(), _ => Kind::Value }
     SidecarError { Self::Io { error, .. } => Kind::of(error), _ => Kind::Value }
     SourceError {
         Self::Io { error, .. } => Kind::of(error),

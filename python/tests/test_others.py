@@ -1,4 +1,4 @@
-"""Kernels, exports and selections are those of the command."""
+"""Kernels and selections are those of the command."""
 
 import json
 
@@ -49,32 +49,6 @@ def test_kernels_are_values():
         print(perceptile.Kernel("column").taps)
     with pytest.raises(ValueError, match="spec says all of the kernel: leave out fps, taa"):
         perceptile.Kernel("none", fps=60)
-
-
-@pytest.mark.parametrize("given", [{}, {"format": "png16"}, {"format": "png16", "strip": True}])
-def test_exports_are_those_of_the_command(command, tile, given):
-    tile.save(command.folder / "tile.npy")
-    strip = ["--strip"] if given.get("strip") else []
-    rest = {name: value for name, value in given.items() if name != "strip"}
-    command("export", "tile.npy", "--out", "theirs", *flags(rest), *strip)
-    paths = perceptile.export(tile, command.folder / "ours", **given)
-    read = lambda name: {it.name: it.read_bytes() for it in (command.folder / name).glob("*.png")}
-    assert read("ours") == read("theirs")
-    assert sorted(paths) == sorted((command.folder / "ours").glob("*.png"))
-    sidecars = [(command.folder / name / "tile.json").read_text() for name in ["ours", "theirs"]]
-    assert sidecars[0] == sidecars[1]
-    with pytest.raises(FileExistsError, match="force=True"):
-        perceptile.export(tile, command.folder / "ours", **given)
-    perceptile.export(tile, command.folder / "ours", **given, force=True)
-    # What was written can be read again.
-    folder = command.folder / "ours"
-    again = perceptile.load(folder / "tile.png", frames=8) if strip else perceptile.load(folder)
-    assert np.abs(again.array - tile.array).max() <= 1 / 256
-
-
-def test_formats_that_nobody_knows_are_refused(tile, tmp_path):
-    with pytest.raises(ValueError, match="invalid value 'bmp' for format: there are: png8, png16"):
-        perceptile.export(tile, tmp_path, format="bmp")
 
 
 @pytest.fixture(scope="module")

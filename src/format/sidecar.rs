@@ -192,10 +192,17 @@ impl Sidecar {
     /// # Errors
     /// Those of [`write::write`].
     pub fn write(&self, path: &Path, existing: Existing) -> Result<(), WriteError> {
-        write::write(path, existing, |out| {
-            serde_json::to_writer_pretty(&mut *out, self)?;
-            writeln!(out)
-        })
+        write::write(path, existing, |out| out.write_all(&self.text()?))
+    }
+
+    /// The text of the file.
+    ///
+    /// # Errors
+    /// Options or scores that no JSON has, such as maps with other keys than texts.
+    pub fn text(&self) -> serde_json::Result<Vec<u8>> {
+        let mut text = serde_json::to_vec_pretty(self)?;
+        text.push(b'\n');
+        Ok(text)
     }
 }
 

@@ -24,6 +24,9 @@ __version__: str
 
 _Path: TypeAlias = str | PathLike[str]
 _Size: TypeAlias = str | tuple[int, int, int]
+_Format: TypeAlias = Literal[
+    "png8", "png16", "ktx2", "ktx2-3d", "raw8", "raw16", "exr", "npy", "header"
+]
 _Progress: TypeAlias = Callable[[str, int, int], object]
 
 @type_check_only
@@ -203,11 +206,18 @@ def baseline(
     seed: int = 1,
 ) -> Tile: ...
 def export(
-    tile: Tile | NDArray[Any] | _Path,
+    tile: Tile | NDArray[Any] | _Path | list[Tile | NDArray[Any] | _Path],
     path: _Path,
     *,
-    format: Literal["png8", "png16"] = "png8",
+    format: _Format = "png8",
+    bits: Literal[8, 16] | None = None,
+    texels: Literal["r", "rg", "rgb", "rgba"] | None = None,
+    exact: bool = False,
     strip: bool = False,
+    layers: bool = False,
+    plain_numbers: bool = False,
+    language: Literal["c", "hlsl", "glsl", "wgsl"] | None = None,
+    reads: _Format | None = None,
     name: str = "tile",
     force: bool = False,
 ) -> list[Path]: ...
