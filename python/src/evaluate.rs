@@ -1,9 +1,9 @@
 //! Scoring tiles.
 
-use perceptile::domain::{Domain, DomainError};
+use perceptile::TileShape;
+use perceptile::domain::Domain;
 use perceptile::metric::{Baseline, ScoreOptions, ScoredTile, UnknownBaseline};
-use perceptile::settings::SettingsError;
-use perceptile::{Tile as Samples, TileShape};
+use perceptile::settings::{Settings, SettingsError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use serde_json::json;
@@ -71,7 +71,8 @@ pub fn evaluate<'py>(
     options.validate()?;
     let text = kernel.to_string();
     let scored = running::run(py, threads, None, move |_| {
-        let samples = adopted(domain, &samples)?;
+        // As far as rounding left it.
+        let samples = domain.adopt(&samples)?;
         let kernel = kernel.resolve(shape)?;
         let taps = &kernel.classes()[0].taps;
         Ok(ScoredTile::of("tile".into(), None, &samples, taps, options, false, || ())?)
@@ -87,11 +88,6 @@ pub fn evaluate<'py>(
         "after_16_bits": after_16_bits,
     });
     arguments::dictionary(py, &result)
-}
-
-/// The samples of a tile, brought to a domain as far as rounding left it.
-pub fn adopted(domain: Domain, samples: &Samples) -> Result<Samples, DomainError> {
-    domain.adopt(samples)
 }
 
 /// A tile to compare with: "white" noise, or "sobol", an Owen-scrambled Sobol' sequence in each pixel.
@@ -114,7 +110,7 @@ pub fn baseline(
     let wrong = |problem| SettingsError::Value { flag: "name".into(), text: name.into(), problem };
     let baseline: Baseline =
         name.parse().map_err(|error: UnknownBaseline| wrong(error.to_string()))?;
-    let mut settings = perceptile::settings::Settings::default();
+    let mut settings = Settings::default();
     settings.put("tile", &arguments::size(tile)?)?;
     let domain = domain.map_or(Ok(Domain::Square), arguments::domain)?;
     let dims = dims.or(domain.dims()).unwrap_or(2);

@@ -16,7 +16,6 @@ use pyo3::types::PyDict;
 use serde_json::Value;
 
 use crate::arguments;
-use crate::evaluate;
 use crate::failure::Failure;
 use crate::running;
 
@@ -41,7 +40,7 @@ pub struct Tile {
     pub shape: TileShape,
     /// Where its samples live; None if that is a density that is not at hand.
     pub domain: Option<Domain>,
-    /// Where it comes from, if that is known.
+    /// Where it comes from, if that is known; of one that was read from pictures, before it was rounded.
     pub provenance: Option<Sidecar>,
     digest: OnceLock<String>,
     scores: OnceLock<Value>,
@@ -118,7 +117,7 @@ impl Tile {
     /// White noise has 1, and lower is better.
     #[getter]
     fn scores<'py>(&self, py: Python<'py>) -> Result<Bound<'py, PyDict>, Failure> {
-        let recorded = self.provenance.as_ref().map(|sidecar| &sidecar.scores);
+        let recorded = self.own_sidecar(py)?.map(|sidecar| &sidecar.scores);
         if let Some(scores) = recorded.filter(|scores| !scores.is_null()).or(self.scores.get()) {
             return arguments::dictionary(py, scores);
         }
@@ -126,7 +125,7 @@ impl Tile {
         let kernel = self.perceived().resolve(shape)?;
         let options = ScoreOptions { domain: self.known_domain()?, ..ScoreOptions::default() };
         let measured = running::run(py, None, None, move |_| {
-            let tile = evaluate::adopted(options.domain, &tile)?;
+            let tile = options.domain.adopt(&tile)?;
             Ok(Scores::of(&tile, &kernel.classes()[0].taps, options)?)
         })?;
         arguments::dictionary(py, self.scores.get_or_init(|| serde_json::json!(measured)))
@@ -135,14 +134,15 @@ impl Tile {
     /// SHA-256 of its .npy file, in hexadecimal.
     #[getter]
     fn digest(&self, py: Python<'_>) -> Result<String, Failure> {
-        if let Some(sidecar) = &self.provenance {
-            return Ok(sidecar.sha256.clone());
+        if let Some(digest) = self.digest.get() {
+            return Ok(digest.clone());
         }
         let tile = self.tile(py)?;
         Ok(self.digest.get_or_init(|| sidecar::digest(&tile)).clone())
     }
 
-    /// Writes the tile as a .npy file, and its provenance as a .json file beside it, if it is known.
+    /// Writes the tile as a .npy file, and its provenance as a .json file beside it, if it is known. A
+    /// tile of pictures has been rounded: its provenance is not that of the file.
     ///
     /// Files that exist stay as they are, and FileExistsError is raised, unless `force` is true.
     #[pyo3(signature = (path, *, force=false))]
@@ -153,7 +153,7 @@ impl Tile {
             let rule = format!("its provenance would be {0} as well", path.display());
             return Err(Failure::value(format!("path names the .npy file, and {rule}")));
         }
-        let sidecar = self.provenance.as_ref().map(|sidecar| (sidecar, beside));
+        let sidecar = self.own_sidecar(py)?.map(|sidecar| (sidecar, beside));
         write::probe([&path].into_iter().chain(sidecar.iter().map(|(_, path)| path)), existing)?;
         let tile = self.tile(py)?;
         write::write(&path, existing, |out| npy::write_tile(&tile, out))?;
@@ -191,6 +191,12 @@ impl Tile {
         let sidecar = sidecar.filter(|sidecar| sidecar.shape == tile.shape());
         let domain = sidecar.as_ref().map_or(Some(Domain::Square), domain_of);
         Ok((tile.clone(), Self::new(py, tile, domain, sidecar)))
+    }
+
+    /// The provenance, if it is that of these very numbers.
+    fn own_sidecar(&self, py: Python<'_>) -> Result<Option<&Sidecar>, Failure> {
+        let Some(sidecar) = &self.provenance else { return Ok(None) };
+        Ok((self.digest(py)? == sidecar.sha256).then_some(sidecar))
     }
 
     /// The tile as the library has it: a copy.

@@ -48,6 +48,17 @@ def test_exports_are_those_of_the_command(command, tile, given):
     perceptile.export(tile, command.folder / "ours", **given, force=True)
 
 
+def test_what_is_rounded_is_another_tile(tile, tmp_path):
+    perceptile.export(tile, tmp_path / "slices")
+    again = perceptile.load(tmp_path / "slices")
+    assert np.abs(again.array - tile.array).max() <= 1 / 512
+    # The provenance is that of another file, but its kernel holds.
+    assert again.kernel == tile.kernel and again.digest != tile.digest
+    again.save(tmp_path / "rounded.npy")
+    assert not (tmp_path / "rounded.json").exists()
+    assert again.scores != tile.scores
+
+
 @pytest.mark.parametrize("bits", [8, 16])
 def test_numpy_reads_raw_volumes(tile, tmp_path, bits):
     raw, _ = perceptile.export(tile, tmp_path / "tile.raw", format=f"raw{bits}")

@@ -27,11 +27,25 @@ _Size: TypeAlias = str | tuple[int, int, int]
 _Format: TypeAlias = Literal[
     "png8", "png16", "ktx2", "ktx2-3d", "raw8", "raw16", "exr", "npy", "header"
 ]
+_Preset: TypeAlias = Literal[
+    "best",
+    "quick",
+    "paper",
+    "paper-taa",
+    "salaun",
+    "progressive",
+    "engine",
+    "engine-64",
+    "engine-taa",
+    "upscaler",
+    "scalar",
+    "scalar-64",
+]
 _Progress: TypeAlias = Callable[[str, int, int], object]
 
 @type_check_only
 class _Settings(TypedDict, total=False):
-    preset: Literal["best", "quick", "paper", "paper-taa", "salaun", "progressive"] | None
+    preset: _Preset | None
     tile: _Size | None
     spp: int | None
     dims: int | None
