@@ -1,10 +1,12 @@
 //! How long a run will take: some steps of every phase, done and timed before it.
 //!
 //! No formula knows the machine, the kernel's subsets and who else computes here. The steps are those
-//! of the run itself, from a random start, so what they cost is what it costs.
+//! of the run itself, from a random start, so what they cost is what it costs; those of a large tile are
+//! done on a part of it.
 
 use std::time::{Duration, Instant};
 
+use crate::draw::DrawOptions;
 use crate::gradient::simd::Simd;
 use crate::run::driver::{self, Parallel};
 use crate::run::error::RunError;
@@ -12,7 +14,8 @@ use crate::run::nested;
 use crate::run::observer::{Observer, Progress};
 use crate::run::plan::{Plan, Position};
 use crate::run::start::InitialState;
-use crate::solver::{Parallelism, Phase, Start, StopReason};
+use crate::solver::{Options, Parallelism, Phase, Start, StopReason};
+use crate::tile::TileShape;
 
 /// How long steps of the descent are timed.
 const TIMED: Duration = Duration::from_millis(150);
@@ -20,6 +23,12 @@ const TIMED: Duration = Duration::from_millis(150);
 const POLISH_STEPS: u32 = 2;
 /// Most frames of the warp that are timed.
 const WARP_FRAMES: u32 = 8;
+
+/// Most samples that steps are timed with. Those of a larger tile are timed on a part of it, whose blocks
+/// cost what all blocks do: else a dry run of a large tile takes minutes.
+const SAMPLES: usize = 1 << 20;
+/// No side of a part is shorter, unless the tile's is.
+const LEAST: usize = 64;
 
 /// Foreseen seconds of each phase of a run.
 #[derive(Debug, Clone, PartialEq)]
@@ -36,7 +45,7 @@ impl Forecast {
     /// As for the run itself.
     pub fn of(plan: &Plan, simd: Simd) -> Result<Self, RunError> {
         let options = &plan.options;
-        let mut timed = plan.clone();
+        let (mut timed, parts) = part(plan);
         timed.parallelism = Parallelism::threads();
         timed.from = Position::START;
         timed.options.stop_after = None;
@@ -53,7 +62,7 @@ impl Forecast {
             let done = if plan.from.phase == phase { plan.from.step } else { 0 };
             let left = f64::from(steps.saturating_sub(done));
             if let Some(of_one) = of_one.filter(|_| left > 0.0 && phase >= plan.from.phase) {
-                seconds.push((phase, left * of_one / shares));
+                seconds.push((phase, left * of_one * parts / shares));
             }
         };
 
@@ -87,6 +96,30 @@ impl Forecast {
     pub fn total(&self) -> f64 {
         self.seconds.iter().map(|(_, seconds)| seconds).sum()
     }
+}
+
+/// The plan for a part of the tile that is small enough, with as many draws for each pixel, and how many
+/// such parts the tile has.
+fn part(plan: &Plan) -> (Plan, f64) {
+    let Options { shape, draw, .. } = plan.options;
+    let [mut width, mut height] = [shape.width(), shape.height()];
+    let others = shape.frames() * shape.spp();
+    while width * height * others > SAMPLES && width.max(height) >= 2 * LEAST {
+        if width > height { width /= 2 } else { height /= 2 }
+    }
+    let whole = (plan.clone(), 1.0);
+    let Ok(small) = TileShape::new(width, height, shape.frames(), shape.spp(), shape.dims()) else {
+        return whole;
+    };
+    if small == shape {
+        return whole;
+    }
+    let parts = shape.pixels() as f64 / small.pixels() as f64;
+    let draws = (draw.draws as f64 / parts).round().max(1.0) as usize;
+    let draw = DrawOptions { draws, ..draw };
+    let options = Options { shape: small, draw, ..plan.options.clone() };
+    // A kernel may need the whole tile.
+    Plan::new(&options, Parallelism::threads()).map_or(whole, |small| (small, parts))
 }
 
 /// Times steps between the first and the last that it hears of, and ends the run in time.
@@ -124,7 +157,6 @@ impl Observer for Clock {
 mod tests {
     use super::*;
     use crate::solver::Preset;
-    use crate::tile::TileShape;
 
     fn plan(change: impl FnOnce(&mut crate::solver::Options)) -> Plan {
         let mut options = Preset::Best.options();
@@ -132,6 +164,26 @@ mod tests {
         options.draw.draws = 64;
         change(&mut options);
         Plan::new(&options, Parallelism::threads()).unwrap()
+    }
+
+    #[test]
+    fn large_tiles_are_timed_on_a_part() {
+        let of = |width, height, frames, spp| {
+            let whole = plan(|options| {
+                options.shape = TileShape::new(width, height, frames, spp, 2).unwrap();
+                options.draw.draws = width * height * frames / 16;
+            });
+            let (part, parts) = part(&whole);
+            let shape = part.options.shape;
+            assert_eq!(part.options.draw.draws, shape.pixels() / 16);
+            assert_eq!(shape.pixels() as f64 * parts, whole.options.shape.pixels() as f64);
+            ([shape.width(), shape.height(), shape.frames(), shape.spp()], parts)
+        };
+        assert_eq!(of(256, 256, 64, 4), ([64, 64, 64, 4], 16.0));
+        assert_eq!(of(512, 64, 64, 4), ([64, 64, 64, 4], 8.0));
+        assert_eq!(of(128, 128, 64, 1), ([128, 128, 64, 1], 1.0));
+        // Nothing but width and height is taken away.
+        assert_eq!(of(64, 64, 300, 4), ([64, 64, 300, 4], 1.0));
     }
 
     fn phases(plan: &Plan) -> Vec<Phase> {

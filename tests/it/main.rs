@@ -13,6 +13,8 @@ mod export;
 #[cfg(target_os = "linux")]
 mod failures;
 mod format;
+#[cfg(target_os = "linux")]
+mod gallery;
 mod gradient;
 mod hostile;
 #[cfg(target_os = "linux")]
