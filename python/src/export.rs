@@ -107,6 +107,6 @@ fn read(tile: &Bound<'_, PyAny>, name: String) -> Result<Named, Failure> {
     let sidecar = own.and_then(|own| own.provenance.clone());
     let text = sidecar.map(|sidecar| sidecar.text()).transpose();
     let text = text.map_err(|error| Failure::run(error.to_string()))?;
-    let domain = own.and_then(|own| own.domain).unwrap_or(Domain::Square);
+    let domain = own.map_or(Some(Domain::Square), |own| own.domain);
     Ok(Named { name, tile, domain, provenance: text.map(|text| (text, None)) })
 }

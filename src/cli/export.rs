@@ -160,7 +160,8 @@ pub fn run(args: &ExportArgs) -> Result<(), Failure> {
 /// Reads a tile with what is known of it.
 fn read(path: &Path, source: &SourceArgs) -> Result<Named, Failure> {
     let tile = source.read(path)?;
-    let domain = domain::of_tile(path, tile.shape())?;
+    // That of a density that is not at hand is all that cannot be known.
+    let domain = domain::of_tile(path, tile.shape()).ok();
     // A sidecar that is none of this tile stays where it is.
     let sidecar = Sidecar::find(path)
         .filter(|sidecar| Sidecar::read(sidecar).is_ok_and(|it| it.describes(path, tile.shape())));

@@ -56,11 +56,12 @@ pub enum ExportError {
     Header(#[from] HeaderError),
     /// Exact levels of what is no threshold.
     #[error(
-        "the tile has samples of `{domain}`, but --exact is for tiles of the square, whose levels are thresholds"
+        "the tile has samples of {}, but --exact is for tiles of the square, whose levels are thresholds",
+        .domain.map_or_else(|| "a density".to_owned(), |domain| format!("`{domain}`"))
     )]
     Exact {
-        /// Where the samples live.
-        domain: Domain,
+        /// Where the samples live, if it is known.
+        domain: Option<Domain>,
     },
     /// Exact levels where there are none.
     #[error("--exact needs a format with levels, such as png8, ktx2 or raw8")]
@@ -77,8 +78,9 @@ pub struct Named {
     pub name: String,
     /// The tile.
     pub tile: Tile,
-    /// Where its samples live.
-    pub domain: Domain,
+    /// Where its samples live; `None` if that is a density that is not at hand, of which an export needs no
+    /// more.
+    pub domain: Option<Domain>,
     /// The text of its sidecar, which goes along, and the file that this is from if it is from one.
     pub provenance: Option<(Vec<u8>, Option<PathBuf>)>,
 }
@@ -86,7 +88,7 @@ pub struct Named {
 impl Named {
     /// A tile of the square, of whose provenance nothing is known.
     pub fn new(name: impl Into<String>, tile: Tile) -> Self {
-        Self { name: name.into(), tile, domain: Domain::Square, provenance: None }
+        Self { name: name.into(), tile, domain: Some(Domain::Square), provenance: None }
     }
 }
 
@@ -95,7 +97,7 @@ impl Named {
 /// # Errors
 /// A tile of another domain than the square, and a form without levels.
 pub fn with_exact_levels(form: &Form, named: &Named) -> Result<Tile, ExportError> {
-    if !named.domain.is_square() {
+    if !named.domain.is_some_and(Domain::is_square) {
         return Err(ExportError::Exact { domain: named.domain });
     }
     Ok(exact(&named.tile, form.depth().ok_or(ExportError::Levels)?))
@@ -152,8 +154,9 @@ pub fn write(
             };
             let with = if form.has_samples() { tiles } else { &[] };
             let sidecars = sidecars(with, existing, beside)?;
-            // What several tiles share are numbers.
-            let domain = if let [one] = tiles { one.domain } else { Domain::Square };
+            // What several tiles share are numbers, and so are samples of a density.
+            let alone = if let [one] = tiles { one.domain } else { None };
+            let domain = alone.unwrap_or(Domain::Square);
             let files = stage(kind, (&tile, domain, name), &path, existing)?;
             let (paths, files): (Vec<PathBuf>, Vec<Staged>) = files.into_iter().unzip();
             sidecars.into_iter().chain(files).try_for_each(Staged::finish)?;

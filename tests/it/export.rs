@@ -598,6 +598,27 @@ mod command {
     }
 
     #[test]
+    fn a_density_is_not_needed_for_its_tile() {
+        let room = Folder::new();
+        let levels = perceptile::format::png::Raster {
+            width: 2,
+            height: 2,
+            layout: perceptile::format::png::PixelFormat::Gray,
+            depth: Depth::Eight,
+            levels: vec![255, 0, 128, 64],
+        };
+        let mut bytes = Vec::new();
+        perceptile::format::png::encode(&levels, &mut bytes).unwrap();
+        fs::write(room.0.at("lamp.png"), bytes).unwrap();
+        let made = "optimize --preset quick --tile 8x8x8 --steps 2 --integrands 0 --out t.npy";
+        room.succeed(&format!("{made} --domain 'density(lamp.png)'"));
+        fs::remove_file(room.0.at("lamp.png")).unwrap();
+        room.succeed("export t.npy --format ktx2");
+        room.succeed("export t.npy --format header --language wgsl");
+        room.fail("export t.npy --exact", 2, "samples of a density, but --exact is for");
+    }
+
+    #[test]
     fn a_texture_keeps_the_kernel_of_its_tile() {
         let room = Folder::new();
         let made = "optimize --preset quick --tile 16x16x8 --steps 5 --integrands 0";
