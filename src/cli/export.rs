@@ -9,12 +9,12 @@ use perceptile::export::header::Language;
 use perceptile::export::{self, ExportFormat, ExportOptions, Form, Named};
 use perceptile::format::sidecar::Sidecar;
 use perceptile::format::texture::Texels;
-use perceptile::format::write::Existing;
+use perceptile::format::write::{self, Existing};
 use perceptile::metric::{Coordinates, ScoreOptions, Scores, digits};
 use perceptile::settings::whole;
 use perceptile::tile::{Tile, TileShape};
 
-use super::exit::Failure;
+use super::exit::{Failure, Misuse};
 use super::source::{self, SourceArgs};
 use super::stream::{print, say};
 use super::{domain, perceived};
@@ -130,6 +130,7 @@ pub fn run(args: &ExportArgs) -> Result<(), Failure> {
         language,
         reads,
     })?;
+    check_outputs(args)?;
     let mut lines = String::new();
     let mut tiles = Vec::new();
     for path in &args.tiles {
@@ -155,6 +156,16 @@ pub fn run(args: &ExportArgs) -> Result<(), Failure> {
         paths => paths.iter().map(|path| format!("{}\n", path.display())).collect(),
     };
     Ok(print(&lines)?)
+}
+
+/// Checks that no tile would be replaced by its export.
+fn check_outputs(args: &ExportArgs) -> Result<(), Misuse> {
+    let Some(out) = args.out.as_ref().filter(|out| out.is_file()) else { return Ok(()) };
+    if args.tiles.iter().any(|tile| write::is_same(tile, out)) {
+        let what = format!("the export would replace the tile {}", out.display());
+        return Err(Misuse(format!("{what}: give another --out")));
+    }
+    Ok(())
 }
 
 /// Reads a tile with what is known of it.

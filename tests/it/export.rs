@@ -528,6 +528,7 @@ mod command {
         assert!(room.0.names("plain").contains(&"a_f0.png".to_owned()));
         room.fail("export a.npy --format ktx2", 3, "a.ktx2 exists already");
         room.succeed("export a.npy --format ktx2 --force");
+        room.fail("export a.npy --format npy --out ./a.npy --force", 2, "would replace the tile");
         for (language, file) in
             [("c", "a.h"), ("hlsl", "a.hlsl"), ("glsl", "a.glsl"), ("wgsl", "a.wgsl")]
         {
