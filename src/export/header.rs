@@ -120,15 +120,6 @@ pub struct Header<'a> {
     pub storage: Storage,
 }
 
-/// What must stand for a number of dimensions in a language: the type of a point and how its numbers
-/// are taken from a texel.
-struct Point {
-    /// Its type.
-    kind: String,
-    /// The channels of the texel, such as `.rg`.
-    channels: &'static str,
-}
-
 impl Header<'_> {
     /// The program text.
     ///
@@ -151,19 +142,16 @@ impl Header<'_> {
         let identifier = self.identifier();
         let template = match language {
             Language::C => C,
-            Language::Hlsl => HLSL,
-            Language::Glsl => GLSL,
+            Language::Hlsl | Language::Glsl => SHADER,
             Language::Wgsl => WGSL,
         };
         let single = match language {
             Language::C => C_NUMBER,
-            Language::Hlsl => HLSL_NUMBER,
-            Language::Glsl => GLSL_NUMBER,
+            Language::Hlsl | Language::Glsl => SHADER_NUMBER,
             Language::Wgsl => WGSL_NUMBER,
         };
         let has_numbers = !self.domain.surface().is_round();
         let mut text = template.replace("@SINGLE@", if has_numbers { single } else { "" });
-        let point = point(language, shape.dims());
         let (texture, texel) = self.texture(language, texels);
         let levels = f64::from(self.depth.levels());
         for (mark, value) in [
@@ -171,8 +159,9 @@ impl Header<'_> {
             ("@DECODE@", self.decode(language)),
             ("@TEXTURE@", texture),
             ("@TEXEL@", texel),
-            ("@POINT@", point.kind),
-            ("@CHANNELS@", point.channels.to_owned()),
+            ("@POINT@", point(language, shape.dims())),
+            ("@PAIR@", if language == Language::Hlsl { "uint2" } else { "uvec2" }.to_owned()),
+            ("@CHANNELS@", "rgba"[..shape.dims()].to_owned()),
             ("@PICK@", pick(shape.dims()).to_owned()),
             ("@UPPER@", identifier.to_uppercase()),
             ("@NAME@", identifier),
@@ -182,7 +171,6 @@ impl Header<'_> {
             ("@SPP@", shape.spp().to_string()),
             ("@DIMS@", shape.dims().to_string()),
             ("@TEXELS@", texels.channels().to_string()),
-            ("@BITS@", (8 * self.depth.bytes()).to_string()),
             ("@SCALE@", format!("{:.1} / {levels:.1}", levels - 1.0)),
             ("@LEVELS@", format!("{levels:.1}")),
             ("@HALF@", format!("0.5 / {levels:.1}")),
@@ -280,18 +268,16 @@ impl Header<'_> {
     }
 }
 
-/// How a sample of so many dimensions stands in a language.
-fn point(language: Language, dims: usize) -> Point {
-    let channels = ["r", "rg", "rgb", "rgba"][dims - 1];
-    let kind = match (language, dims) {
+/// The type of a sample of so many dimensions; C has arrays.
+fn point(language: Language, dims: usize) -> String {
+    match (language, dims) {
         (Language::C, _) => String::new(),
         (Language::Wgsl, 1) => "f32".to_owned(),
         (Language::Wgsl, _) => format!("vec{dims}<f32>"),
         (_, 1) => "float".to_owned(),
         (Language::Hlsl, _) => format!("float{dims}"),
         (Language::Glsl, _) => format!("vec{dims}"),
-    };
-    Point { kind, channels }
+    }
 }
 
 /// How one number of a sample is taken from it.
@@ -351,50 +337,27 @@ const C_SPHERE: &str = "    float square = 0.0f;
     }
 ";
 
-const GLSL: &str = "\
+/// GLSL and HLSL, which differ in the names of types.
+const SHADER: &str = "\
 // @WHAT@, linear, without mipmaps.
 // Written by Perceptile; use it as you like.
 
 // The numbers of sample `index` of a pixel in a frame, for decision `number` of its path, both from 0
 // and as far as you like: what the tile has not is read from another place of it.
-@POINT@ @NAME@_point(@TEXTURE@ tile, uvec2 pixel, uint frame, uint index, uint number) {
+@POINT@ @NAME@_point(@TEXTURE@ tile, @PAIR@ pixel, uint frame, uint index, uint number) {
     uint other = number + 1009u * (index / @SPP@u);
-    uvec2 size = uvec2(@WIDTH@u, @HEIGHT@u);
-    uvec2 shift = (((uvec2(3242174889u, 2447445414u) * other) >> 16u) * size) >> 16u;
-    uvec2 place = (pixel % size + shift) % size;
+    @PAIR@ size = @PAIR@(@WIDTH@u, @HEIGHT@u);
+    @PAIR@ shift = (((@PAIR@(3242174889u, 2447445414u) * other) >> 16u) * size) >> 16u;
+    @PAIR@ place = (pixel % size + shift) % size;
     uint layer = (frame % @FRAMES@u) * @SPP@u + index % @SPP@u;
     @POINT@ at = @TEXEL@.@CHANNELS@ * (@SCALE@) + @HALF@;
 @DECODE@    return at;
 }
 @SINGLE@";
 
-const GLSL_NUMBER: &str = "
+const SHADER_NUMBER: &str = "
 // One number alone, of as many dimensions as you like.
-float @NAME@_number(@TEXTURE@ tile, uvec2 pixel, uint frame, uint index, uint dimension) {
-    return @NAME@_point(tile, pixel, frame, index, dimension / @DIMS@u)@PICK@;
-}
-";
-
-const HLSL: &str = "\
-// @WHAT@, linear, without mipmaps.
-// Written by Perceptile; use it as you like.
-
-// The numbers of sample `index` of a pixel in a frame, for decision `number` of its path, both from 0
-// and as far as you like: what the tile has not is read from another place of it.
-@POINT@ @NAME@_point(@TEXTURE@ tile, uint2 pixel, uint frame, uint index, uint number) {
-    uint other = number + 1009u * (index / @SPP@u);
-    uint2 size = uint2(@WIDTH@u, @HEIGHT@u);
-    uint2 shift = (((uint2(3242174889u, 2447445414u) * other) >> 16u) * size) >> 16u;
-    uint2 place = (pixel % size + shift) % size;
-    uint layer = (frame % @FRAMES@u) * @SPP@u + index % @SPP@u;
-    @POINT@ at = @TEXEL@.@CHANNELS@ * (@SCALE@) + @HALF@;
-@DECODE@    return at;
-}
-@SINGLE@";
-
-const HLSL_NUMBER: &str = "
-// One number alone, of as many dimensions as you like.
-float @NAME@_number(@TEXTURE@ tile, uint2 pixel, uint frame, uint index, uint dimension) {
+float @NAME@_number(@TEXTURE@ tile, @PAIR@ pixel, uint frame, uint index, uint dimension) {
     return @NAME@_point(tile, pixel, frame, index, dimension / @DIMS@u)@PICK@;
 }
 ";

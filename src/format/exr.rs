@@ -9,7 +9,7 @@ use std::io::{BufReader, Cursor};
 use std::path::Path;
 
 use ::exr as codec;
-use codec::image::{AnyChannel, AnyChannels, Encoding, FlatSamples, Image, Layer};
+use codec::image::{AnyChannel, AnyChannels, Encoding, FlatSamples, Image, Layer, Layers};
 use codec::math::Vec2;
 use codec::meta::MetaData;
 use codec::meta::attribute::{IntegerBounds, SampleType};
@@ -138,16 +138,26 @@ fn has_colours(header: &Header) -> bool {
     !header.deep && COLOURS.into_iter().all(is_whole)
 }
 
-fn read_whole(path: &Path) -> Result<Whole, ExrError> {
-    // Held against the limits first.
-    read_template(path)?;
-    let layers = codec::prelude::read()
+/// Reads all layers with all channels, of a file that was held against limits.
+///
+/// # Errors
+/// What the codec reports.
+pub(super) fn read_layers(
+    path: &Path,
+) -> Result<Image<Layers<AnyChannels<FlatSamples>>>, codec::error::Error> {
+    codec::prelude::read()
         .no_deep_data()
         .largest_resolution_level()
         .all_channels()
         .all_layers()
         .all_attributes()
-        .from_file(path)?;
+        .from_file(path)
+}
+
+fn read_whole(path: &Path) -> Result<Whole, ExrError> {
+    // Held against the limits first.
+    read_template(path)?;
+    let layers = read_layers(path)?;
     let layer = layers
         .layer_data
         .into_iter()

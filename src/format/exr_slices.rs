@@ -13,9 +13,9 @@ use codec::math::Vec2;
 use codec::meta::MetaData;
 use codec::meta::attribute::IntegerBounds;
 use codec::meta::header::{ImageAttributes, LayerAttributes};
-use codec::prelude::{ReadChannels, ReadLayers, Text, WritableImage};
+use codec::prelude::{Text, WritableImage};
 
-use super::exr::ExrError;
+use super::exr::{self, ExrError};
 use super::png::PixelFormat;
 use super::slices::SOFTWARE;
 use super::source::Slice;
@@ -82,14 +82,7 @@ pub(super) fn read(path: &Path) -> Result<Vec<(String, Slice)>, ExrError> {
             return Err(ExrError::Size { width, height, channels });
         }
     }
-    let image = codec::prelude::read()
-        .no_deep_data()
-        .largest_resolution_level()
-        .all_channels()
-        .all_layers()
-        .all_attributes()
-        .from_file(path)?;
-    image.layer_data.into_iter().map(slice).collect()
+    exr::read_layers(path)?.layer_data.into_iter().map(slice).collect()
 }
 
 /// The software that a file says it was made by.

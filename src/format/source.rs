@@ -339,8 +339,16 @@ impl TileSource {
             return Err(SourceError::Spp { path: path(), slices: layers, spp });
         }
         self.check_frames(layers / spp)?;
-        let dims = texture.dims(self.channels.as_ref());
         let channels = texture.texels.channels();
+        // What the file leaves open may be mere padding.
+        let (dims, padding) = match (&self.channels, texture.sample) {
+            (Some(asked), _) => (asked.as_slice(), Vec::new()),
+            (None, Some((_, dims))) => (Channel::first(dims), Vec::new()),
+            (None, None) => {
+                let [none, full] = padding(Some(texture.depth));
+                (Channel::first(channels), vec![none, none, none, full])
+            }
+        };
         if let Some(&channel) = dims.iter().find(|&&channel| channel as usize >= channels) {
             let held = format!("channels {}", texture.texels);
             return Err(SourceError::Channel { path: path(), channel, held });
@@ -361,7 +369,7 @@ impl TileSource {
                 }
             }
         }
-        Ok(Tile::new(shape, samples).expect("levels stand for coordinates in [0, 1)"))
+        Ok(trimmed(shape, samples, &padding))
     }
 
     /// The tile in the layers of an EXR file.
@@ -527,13 +535,12 @@ impl From<Raster> for Slice {
     }
 }
 
-impl Slice {
-    /// The coordinates of no colour and of full opacity, which channels without a dimension have.
-    fn padding(&self) -> [f32; 2] {
-        match self.depth {
-            Some(depth) => [0, (depth.levels() - 1) as u16].map(|level| depth.coordinate(level)),
-            None => [0.0, BELOW_ONE],
-        }
+/// The coordinates of no colour and of full opacity, which channels without a dimension have: of levels, or
+/// of floats.
+fn padding(depth: Option<Depth>) -> [f32; 2] {
+    match depth {
+        Some(depth) => [0, (depth.levels() - 1) as u16].map(|level| depth.coordinate(level)),
+        None => [0.0, BELOW_ONE],
     }
 }
 
@@ -608,7 +615,7 @@ impl Assembly {
         }
         samples.resize(shape.coordinates(), 0.0);
         let padded = source.channels.is_none() && heads.len() == 1;
-        let [none, full] = first.padding();
+        let [none, full] = padding(first.depth);
         let colors = first.layout.colors();
         let padding = padded.then(|| (0..dims).map(|k| if k < colors { none } else { full }));
         Ok(Self { shape, samples, positions, padding: padding.map(Iterator::collect) })
@@ -634,19 +641,23 @@ impl Assembly {
 
     /// The tile, without channels that are mere padding.
     fn finish(self) -> Tile {
-        let Self { mut shape, mut samples, padding, .. } = self;
-        if let Some(padding) = padding {
-            let dims = shape.dims();
-            let differs = |dim: usize| samples.iter().skip(dim).step_by(dims);
-            let is_kept = |&dim: &usize| differs(dim).any(|&x| x != padding[dim]);
-            let kept = (1..dims).rev().find(is_kept).map_or(1, |dim| dim + 1);
-            if kept < dims {
-                samples = samples.chunks_exact(dims).flat_map(|p| &p[..kept]).copied().collect();
-                shape = with_dims(shape, kept);
-            }
-        }
-        Tile::new(shape, samples).expect("slices have coordinates in [0, 1)")
+        let Self { shape, samples, padding, .. } = self;
+        trimmed(shape, samples, &padding.unwrap_or_default())
     }
+}
+
+/// The tile of these samples, without the last dimensions as far as all their coordinates are those of
+/// `padding`, which has one for each dimension that may be mere padding, or none.
+fn trimmed(mut shape: TileShape, mut samples: Vec<f32>, padding: &[f32]) -> Tile {
+    let dims = shape.dims();
+    let of = |dim: usize| samples.iter().skip(dim).step_by(dims);
+    let is_kept = |&dim: &usize| padding.get(dim).is_none_or(|it| of(dim).any(|x| x != it));
+    let kept = (1..dims).rev().find(is_kept).map_or(1, |dim| dim + 1);
+    if kept < dims {
+        samples = samples.chunks_exact(dims).flat_map(|p| &p[..kept]).copied().collect();
+        shape = with_dims(shape, kept);
+    }
+    Tile::new(shape, samples).expect("slices and levels have coordinates in [0, 1)")
 }
 
 /// Where in a pixel a channel that was asked for stands.

@@ -13,7 +13,7 @@ use std::str::FromStr;
 
 use thiserror::Error;
 
-use super::png::{Channel, Channels, Depth};
+use super::png::{Channel, Depth};
 use crate::tile::{Tile, TileShape};
 
 /// Most channels of a texel.
@@ -246,29 +246,6 @@ pub struct Texture {
     pub levels: Vec<u16>,
 }
 
-impl Texture {
-    /// The dimensions that the channels hold: those asked for, those that the file says, or all but
-    /// those that are mere padding, which are alpha where it is full and then green and blue where they
-    /// are 0 in every texel.
-    pub fn dims(&self, asked: Option<&Channels>) -> Vec<Channel> {
-        if let Some(channels) = asked {
-            return channels.as_slice().to_vec();
-        }
-        let channels = self.texels.channels();
-        let dims = self.sample.map_or(channels, |(_, dims)| dims.min(channels));
-        let full = (self.depth.levels() - 1) as u16;
-        let is_padding = |channel: usize| {
-            let padding = if channel == Channel::Alpha as usize { full } else { 0 };
-            self.levels.iter().skip(channel).step_by(channels).all(|&level| level == padding)
-        };
-        let dims = match self.sample {
-            Some(_) => dims,
-            None => (1..dims).rev().find(|&channel| !is_padding(channel)).map_or(1, |it| it + 1),
-        };
-        Channel::first(dims).to_vec()
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -323,27 +300,5 @@ mod tests {
         assert!(matches!(packed(&[pair.clone(), other]), Err(TextureError::Sizes { .. })));
         let three = [pair.clone(), pair, single];
         assert_eq!(packed(&three), Err(TextureError::Many { dims: 5 }));
-    }
-
-    #[test]
-    fn padding_is_no_dimension() {
-        let texture = |texels: Texels, sample, levels: &[u16]| Texture {
-            width: levels.len() / texels.channels(),
-            height: 1,
-            layers: 1,
-            texels,
-            depth: Depth::Eight,
-            sample,
-            levels: levels.to_vec(),
-        };
-        let dims =
-            |texels, sample, levels: &[u16]| texture(texels, sample, levels).dims(None).len();
-        assert_eq!(dims(Texels::Rgba, None, &[1, 2, 0, 255, 3, 4, 0, 255]), 2);
-        assert_eq!(dims(Texels::Rgba, None, &[1, 2, 0, 255, 3, 4, 0, 254]), 4);
-        assert_eq!(dims(Texels::Rgba, None, &[0, 0, 0, 255]), 1);
-        assert_eq!(dims(Texels::Rgba, Some((1, 3)), &[0, 0, 0, 255]), 3);
-        let asked: Channels = "ba".parse().unwrap();
-        let texture = texture(Texels::Rgba, None, &[0, 0, 0, 255]);
-        assert_eq!(texture.dims(Some(&asked)), [Channel::Blue, Channel::Alpha]);
     }
 }

@@ -191,6 +191,26 @@ fn a_texture_without_our_words_is_read_as_told() {
     assert_eq!(second.point(1, 2, 7, 0), [quantized(&tile, 256.0).point(1, 2, 3, 1)[1]]);
 }
 
+#[test]
+fn padding_is_no_dimension() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("t.ktx2");
+    let dims = |texels: Texels, ours: bool, dims: usize, points: &[f32]| {
+        let shape = shape(points.len() / dims, 1, 1, 1, dims);
+        let tile = Tile::new(shape, points.to_vec()).unwrap();
+        let mut bytes = ktx2_of(&tile, texels, Depth::Eight, Layout::Array);
+        let words = bytes.windows(16).position(|it| it == b"PerceptileSample").unwrap();
+        bytes[words] = if ours { bytes[words] } else { b'X' };
+        fs::write(&path, &bytes).unwrap();
+        TileSource::new(&path).read().unwrap().shape().dims()
+    };
+    assert_eq!(dims(Texels::Rgba, false, 2, &[0.1, 0.2, 0.3, 0.4]), 2);
+    assert_eq!(dims(Texels::Rgba, false, 4, &[0.1, 0.2, 0.0, 0.999, 0.3, 0.4, 0.0, 0.99]), 4);
+    assert_eq!(dims(Texels::Rgba, false, 3, &[0.0, 0.0, 0.0]), 1);
+    assert_eq!(dims(Texels::Rgba, true, 3, &[0.0, 0.0, 0.0]), 3);
+    assert_eq!(dims(Texels::Rg, false, 1, &[0.5]), 1);
+}
+
 fn header(shape: TileShape, domain: Domain, depth: Depth, storage: Storage) -> Header<'static> {
     Header { name: "a tile-2", shape, domain, texels: None, depth, storage }
 }
